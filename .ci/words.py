@@ -46,8 +46,7 @@ UNCHECKED = (
     "sero_mj/extensions/fmu",
     "sero_mj/extensions/ros",
     "sero_mj/extensions/rtde",
-    "sero_mj/robots",
-    "sero_mj/simulate",
+    "sero_mj/simulate/external_control",
     "sero_mj/viewer/decor",
     "sero_mj/viewer/image",
 )

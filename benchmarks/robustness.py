@@ -134,8 +134,8 @@ FUZZED = (
         "test_start_page.py::test_uploads_are_stored_completely_or_not_at_all",
     )),
     Target("shared memory and shared files", (
-        "test_shm.py::test_it_is_shrunk_and_grown_all_the_time_while_it_is_read",
-        "test_shm_writers.py::test_a_torn_packet_is_never_applied",
+        "test_shm.py::test_block_can_be_resized_while_it_is_read",
+        "test_shm_writers.py::test_torn_packets_are_never_applied",
         "test_shared_arrays.py::test_array_is_read_once_and_whole_or_not_at_all",
         "test_view_state.py::test_toggles_round_trip_through_text",
     )),
@@ -150,7 +150,7 @@ FAULTS = (
     )),
     Target("kill -9 of other processes", (
         "test_recorder.py::test_killed_process_leaves_a_readable_file",
-        "test_shm_writers.py::test_a_writer_that_is_killed_in_the_middle_of_a_packet_is_replaced",
+        "test_shm_writers.py::test_writer_killed_during_a_write_is_replaced",
         "extensions/ros/test_ros2.py::test_a_driver_that_is_killed_is_replaced_by_another_one",
         "extensions/sweeps/test_sweep.py::test_killed_process_loses_its_variant_only",
         "test_viewer_process.py::"
@@ -169,7 +169,7 @@ FAULTS = (
     Target("full disk", (
         "test_recorder.py::test_full_disk_ends_the_recording_with_an_error",
         "test_recording_faults.py::"
-        "test_a_full_disk_ends_the_recording_and_leaves_a_file_that_all_can_read",
+        "test_full_disk_ends_the_recording_and_leaves_a_readable_file",
         "test_recording_faults.py::test_full_disk_at_the_start_is_reported",
     )),
     Target("lost network", (

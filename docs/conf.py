@@ -51,8 +51,21 @@ def _declarations() -> str:
     return "\n".join(lines)
 
 
+# Classes that only plug-ins need. They are imported from their modules.
+_PLUGIN_CLASSES = (
+    "data.receive.source.Source",
+    "data.receive.connecting.ConnectingSource",
+    "simulate.control.controller.Controller",
+    "simulate.control.controller.ControllerDeclaration",
+    "simulate.control.controller.Sensed",
+    "simulate.control.controller.Target",
+    "base.errors.Problem",
+    "base.trust.RequestedAction",
+)
+
+
 def _reference() -> str:
-    """The public names of Python, in the order of the packages."""
+    """Returns the page of the Python reference, in the order of the packages."""
     lines = ["Python", "======", "", ".. automodule:: sero_mj", "   :no-members:", ""]
     for name, home in sero_mj._HOME.items():
         item = getattr(sero_mj, name)
@@ -60,6 +73,11 @@ def _reference() -> str:
         if kind == "class" and issubclass(item, Exception):
             kind = "exception"
         lines += [f".. auto{kind}:: sero_mj.{home}.{name}", ""]
+    lines += ["Classes for plug-ins", "--------------------", ""]
+    lines += ["Import these classes from their modules. :doc:`../plugins` and"]
+    lines += [":doc:`../own_protocol` explain how to use them.", ""]
+    for path in _PLUGIN_CLASSES:
+        lines += [f".. autoclass:: sero_mj.{path}", ""]
     return "\n".join(lines)
 
 

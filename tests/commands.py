@@ -1,4 +1,4 @@
-"""Runs `sero-mj` and programs in processes of their own, which need not import everything anew."""
+"""Runs `sero-mj` and programs in separate processes without importing everything again."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ _IMPORTED = (
     "sero_mj.viewer.program.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",
 )  # fmt: skip
-# A server has neither; what was imported in it has chosen nothing by them.
+# A server has neither, and no module imported there has chosen a backend.
 UNSET = ("DISPLAY", "MUJOCO_GL")
 
 
 @cache
 def _server() -> Any:
-    """Processes that are copies of one in which neither a display nor a backend was set."""
+    """Returns a context whose processes are copies of one without display and backend."""
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     context.set_forkserver_preload([__name__, *_IMPORTED])
@@ -35,12 +35,10 @@ def _server() -> Any:
 def run_command(
     arguments: Sequence[str], folder: Path, environment: Mapping[str, str]
 ) -> tuple[int, str]:
-    """Runs `sero-mj ARGUMENTS` in a folder; returns its exit status and all that it printed.
+    """Runs `sero-mj ARGUMENTS` in a folder and returns its exit status and all output.
 
-    Args:
-        arguments: of the command.
-        folder: where it runs; what it prints is kept there as well, in `printed.txt`.
-        environment: its whole environment.
+    The output is also stored in `printed.txt` in the folder. `environment` is the whole
+    environment.
     """
     return _run(_command, [*arguments], folder, environment)
 
@@ -48,10 +46,7 @@ def run_command(
 def run_program(program: str, folder: Path, environment: Mapping[str, str]) -> tuple[int, str]:
     """Runs a program in a folder, on its module search path; see `run_command`.
 
-    Args:
-        program: Python.
-        folder: where it runs, with the modules and packages that only it has.
-        environment: its whole environment.
+    `environment` is the whole environment.
     """
     return _run(_program, program, folder, environment)
 
@@ -105,7 +100,7 @@ def _start(
     before = dict(os.environ)
     os.environ.clear()
     os.environ |= {key: value for key, value in environment.items() if key not in UNSET}
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for what is imported beforehand
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for the modules imported beforehand
     try:
         process = context.Process(
             target=_begin, args=(act, what, str(folder), dict(environment), given)
@@ -135,7 +130,7 @@ def _begin(
     for key in os.environ.keys() - environment.keys() - {"MUJOCO_GL", "PYOPENGL_PLATFORM"}:
         del os.environ[key]
     os.environ |= environment
-    sys.path[:0] = [folder]  # with packages, maybe
+    sys.path[:0] = [folder]  # possibly with packages
     try:
         act(what)
     finally:

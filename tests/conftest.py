@@ -1,10 +1,10 @@
-"""Chooses the OpenGL backend before anything imports mujoco, and holds what tests share.
+"""Chooses the OpenGL backend before anything imports mujoco, and contains shared fixtures.
 
 `--no-skips` (in `.ci/run`) fails a test that is skipped because a tool is missing.
 `--hypothesis-profile=thorough` (in `make thorough`) runs all examples of property tests instead of
 a quarter, all cases of slow tests instead of the first and the last one, and the tests marked
-`thorough`, which otherwise run only if they are named.
-Tests marked `realtime` run alone: parallel runs leave them out, and others run them last.
+`thorough`, which otherwise run only if they are named. Tests marked `realtime` run alone: parallel
+runs omit them, and others run them last.
 """
 
 from __future__ import annotations
@@ -42,28 +42,28 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.study.engine import available_cpus
 
-# A shell's background job and nohup ignore SIGINT, and so would every program that a test starts.
+# A shell's background job and nohup ignore SIGINT, and so would every program started by a test.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Without deadlines: how long an example takes depends on what else the machine does.
+# Without deadlines: the duration of an example depends on other load of the machine.
 for name, examples in {"quarter": 25, "thorough": 100}.items():
     settings.register_profile(name, max_examples=examples, deadline=None)
 settings.load_profile("quarter")
 
-# What a machine cannot have: dm-control from Python 3.13 on, and what is of another system.
+# Packages that a machine cannot have: dm-control from Python 3.13 on, and those of other systems.
 _MAY_BE_SKIPPED = (
     "dm-control is not installed", "by hand", "Linux", "no IPv6 groups",
     "stable-baselines3", "octave-cli", "rustc", "ur_rtde is not installed",
     "rclpy cannot be installed", "a sleep of 1 ms takes",
 )  # fmt: skip
-# Browsers and windows take both cores; of several workers one runs all pages, and one all windows.
-# Start pages of either listen on the same ports.
+# Browsers and windows use both cores; one worker runs all pages, and one all windows. Start pages
+# of both listen on the same ports.
 _PAGES = ("test_web", "test_viewer", "test_notebook", "test_window_start")
 _WINDOWS = ("test_window", "test_overlay_window", "test_steering_window")
 _SCREENS = (*_PAGES, *_WINDOWS)
 _LIVE = (*_SCREENS, "test_docs")
-# These simulate whole runs, or start many processes: half of the time of all tests of logic.
+# These simulate whole runs or start many processes: half of the time of all logic tests.
 _SLOW = (
     "test_bags", "test_biped", "test_calibrate", "test_camera_motion", "test_cartesian_control",
     "test_compiler", "test_composition", "test_connecting", "test_dlr_models", "test_doors",
@@ -78,31 +78,31 @@ _SLOW = (
     "test_snippet", "test_stable_baselines", "test_torque_loop", "test_trees", "test_trigger",
     "test_zenoh",
 )  # fmt: skip
-# These open the ports of shipped scenes; another worker runs them all.
+# These open the ports of shipped scenes, so one worker runs them all.
 _PORTS = (
     "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
 )  # fmt: skip
 
-# These parse all our files, which one worker does once.
+# These parse all our files, so one worker runs them.
 _SYNTAX = ("test_layers", "test_size")
 
-# The processes that pytest and multiprocessing need until the end, by parts of command lines.
+# Processes that pytest and multiprocessing need until the end, by parts of command lines.
 _OWN_CHILDREN = (b"multiprocessing.resource_tracker", b"multiprocessing.forkserver", b"playwright")
-_MARK = "SERO_MJ_TEST"  # in the environment of processes that a test starts
+_MARK = "SERO_MJ_TEST"  # in the environment of processes started by a test
 
 ROOT = Path(__file__).resolve().parent.parent
 
 
 def examples(thorough: int) -> int:
-    """How many examples a property test has, of those in a thorough run."""
+    """Returns the number of examples of a property test, from that of a thorough run."""
     return max(thorough * settings().max_examples // 100, 5)
 
 
 def sampled(cases: Iterable[Any], kept: int) -> list[Any]:
-    """The cases of a test, of which all but the first are for thorough runs.
+    """Returns the cases of a test; all but the first run in thorough runs only.
 
-    A case is a list where a test has several arguments.
+    A case is a list if a test has several arguments.
     """
     return [
         pytest.param(
@@ -114,25 +114,25 @@ def sampled(cases: Iterable[Any], kept: int) -> list[Any]:
 
 
 def free_udp_port() -> int:
-    """A port on which nobody listens."""
+    """Returns a port on which nothing listens."""
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         return int(sock.getsockname()[1])
 
 
 def import_script(path: Path) -> ModuleType:
-    """A script that is in no package, as a module."""
+    """Imports a script that is in no package as a module."""
     spec = importlib.util.spec_from_file_location(path.stem, path)
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    sys.modules[path.stem] = module  # dataclasses look their module up
+    sys.modules[path.stem] = module  # dataclasses look up their module
     spec.loader.exec_module(module)
     return module
 
 
 @contextlib.contextmanager
 def raises_with(error: type[Exception] = DeclarationError, /, **values: object) -> Iterator[None]:
-    """Expects an error with these attributes, or those of its only problem."""
+    """Expects an error with these attributes, or with a single problem that has them."""
     with pytest.raises(error) as caught:
         yield
     told = caught.value
@@ -144,13 +144,13 @@ def raises_with(error: type[Exception] = DeclarationError, /, **values: object) 
 
 
 def _plain(value: Any) -> object:
-    """An array as a list; NaN, which does not equal itself, as a text."""
+    """Returns an array as a list; NaN, which does not equal itself, as a string."""
     value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
     return "NaN" if isinstance(value, float) and math.isnan(value) else value
 
 
 def problems_in(scene: Path) -> list[str]:
-    """What is wrong in a scene's file: line, key and message of every problem."""
+    """Returns line, key and message of every problem in a scene file."""
     with pytest.raises(DeclarationError) as caught:
         load_scene(scene)
     return [f"{p.line}: {p.key}: {p.message}" for p in caught.value.problems]
@@ -158,7 +158,7 @@ def problems_in(scene: Path) -> list[str]:
 
 @pytest.fixture(scope="session", autouse=True)
 def state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-    """A state folder for tests, so that views of their user are not shown, nor changed."""
+    """A state folder for tests, so that the user's views are neither shown nor changed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("XDG_STATE_HOME", str(tmp_path_factory.mktemp("state")))
         yield
@@ -166,7 +166,7 @@ def state_folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
 
 @pytest.fixture
 def controller() -> Iterator[socket.socket]:
-    """The socket of a robot's controller."""
+    """The socket of a robot controller."""
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         sock.settimeout(5.0)
@@ -175,7 +175,7 @@ def controller() -> Iterator[socket.socket]:
 
 @pytest.fixture(autouse=True)
 def backend() -> Iterator[None]:
-    """Commands that are run in this process choose the window's OpenGL; programs after them not."""
+    """Commands run in this process choose the window's OpenGL; later programs do not."""
     before = os.environ.get("MUJOCO_GL")
     yield
     if before is not None:
@@ -187,7 +187,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
-    """Skips files of which `make quick` and `make core` run no test, without importing them."""
+    """Skips files without tests for `make quick` and `make core`, without importing them."""
     left_out = (*_SLOW, *_LIVE) if "not slow and not live" in config.option.markexpr else ()
     return True if collection_path.name.startswith(left_out) else None
 
@@ -215,7 +215,7 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _inner_cases(items: list[pytest.Item]) -> list[pytest.Item]:
-    """The cases of slow tests that are for thorough runs: all but the first and the last one."""
+    """Returns the cases of slow tests for thorough runs: all but the first and the last one."""
     cases: dict[str, list[pytest.Item]] = {}
     for item in items:
         if item.path.name.startswith((*_SLOW, *_LIVE)):
@@ -224,7 +224,7 @@ def _inner_cases(items: list[pytest.Item]) -> list[pytest.Item]:
 
 
 def pytest_collection_finish() -> None:
-    # Modules and thousands of tests stay; looking for garbage among them takes 0.15 s each time.
+    # Modules and thousands of tests persist; each garbage collection among them takes 0.15 s.
     gc.collect()
     gc.freeze()
 
@@ -235,7 +235,7 @@ def pytest_runtest_setup(item: pytest.Item) -> None:
 
 
 def _sleep_of_1_ms() -> float:
-    """The duration in seconds that 19 of 20 sleeps of 1 ms do not exceed."""
+    """Returns the duration in seconds that 19 of 20 sleeps of 1 ms do not exceed."""
     took = []
     for _ in range(200):
         begin = time.perf_counter()
@@ -250,7 +250,7 @@ def pytest_runtest_protocol() -> Iterator[None]:
     _give_memory_back()
 
 
-_starts = 0  # processes that were started here
+_starts = 0  # processes started here
 
 
 def _count_start(event: str, _: object) -> None:
@@ -265,7 +265,7 @@ if sys.platform == "linux":
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_call() -> Iterator[None]:
-    """Ends the processes that a test has started and left, also if it fails."""
+    """Ends the processes that a test has started and left running, also if it fails."""
     before, mark = _starts, f"{os.getpid()}-{time.monotonic_ns()}"
     os.environ[_MARK] = mark
     yield
@@ -288,9 +288,9 @@ _after_giving_back = 0.0  # MB in use
 
 
 def _give_memory_back() -> None:
-    """Returns to the system what worlds and pictures have freed, where that may be much.
+    """Returns freed memory of worlds and images to the system if it may be much.
 
-    The C library keeps it: 3 GB after all tests, of which 0.4 GB were still in use.
+    Otherwise the C library holds 3 GB after all tests, of which 0.4 GB are in use.
     """
     global _after_giving_back  # noqa: PLW0603
     if sys.platform == "linux" and _used_memory() > _after_giving_back + 200.0:
@@ -299,7 +299,7 @@ def _give_memory_back() -> None:
 
 
 def _used_memory() -> float:
-    """Of this process, MB."""
+    """Returns the memory in use by this process, MB."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return pages * os.sysconf("SC_PAGESIZE") / 1e6
 
@@ -318,7 +318,7 @@ class _GroupsByFile(LoadScopeScheduling):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    # Who works a browser or a window waits for it: a quarter of the time both cores were idle.
+    # A test of a browser or a window waits for it: a quarter of the time both cores were idle.
     is_all = not config.option.markexpr
     return available_cpus() + is_all
 
@@ -361,7 +361,7 @@ def node_modules() -> Path:
 
 @pytest.fixture(scope="session")
 def playwright() -> Iterator[Any]:
-    """Playwright, of which a process has one."""
+    """Playwright, which can exist once per process."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -370,13 +370,13 @@ def playwright() -> Iterator[Any]:
 
 @pytest.fixture(scope="session")
 def browser(playwright: Any) -> Iterator[Any]:
-    """Chromium, as Playwright works it."""
+    """Chromium, controlled by Playwright."""
     yield from _chromium(playwright)
 
 
 @pytest.fixture
 def own_browser(playwright: Any) -> Iterator[Any]:
-    """Another one, for who may leave it as no other test wants it."""
+    """Another browser, for tests that may leave it unusable for others."""
     yield from _chromium(playwright)
 
 
@@ -390,6 +390,6 @@ def _chromium(playwright: Any) -> Iterator[Any]:
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """An empty home."""
+    """An empty home folder."""
     monkeypatch.setenv("HOME", str(tmp_path))
     yield

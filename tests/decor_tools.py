@@ -1,4 +1,4 @@
-"""What the decor tests share: a world with everything set, and a view without OpenGL."""
+"""Shared by the decor tests: a world with everything set, and a view without OpenGL."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ GEOM = mujoco.mjtGeom
 
 
 def world_of(**fields: Any) -> World:
-    """A world with one LWR and these fields."""
+    """Returns a world with one LWR and these fields."""
     return World(Scene(robots=[SerialRobot.from_model("lwr", **fields)], floor=False))
 
 
 def view_at(
     azimuth: float = 0.7, distance: float = 2.5, width: int = 1280, height: int = 800
 ) -> ImageView:
-    """A level look at the middle of a standing LWR."""
+    """Returns a level view at the middle of a standing LWR."""
     forward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     return ImageView(
@@ -44,14 +44,14 @@ def view_at(
 
 
 def toggles_of(world: World) -> Toggles:
-    """What the world declares, without the legend."""
+    """Returns the toggles that the world declares, without the legend."""
     toggles = Toggles(world)
     toggles.legend = False
     return toggles
 
 
 def drawn(world: World, view: ImageView | None = None, **shown: bool) -> Any:
-    """The rows that decor draws for a world as declared, features set by name."""
+    """Returns the rows that decor draws for a world as declared, with features set by name."""
     data = world.make_data()
     toggles = toggles_of(world)
     for name, value in shown.items():
@@ -61,17 +61,17 @@ def drawn(world: World, view: ImageView | None = None, **shown: bool) -> Any:
 
 
 def of_kind(rows: Any, kind: Any) -> Any:
-    """The rows of one geom type."""
+    """Returns the rows of one geom type."""
     return rows[rows["type"] == int(kind)]
 
 
 def labels(rows: Any) -> list[str]:
-    """All that is written, in the order in which it was drawn."""
+    """Returns all text in drawing order."""
     return [row["label"].decode() for row in of_kind(rows, GEOM.mjGEOM_LABEL)]
 
 
 def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> ImageView:
-    """A view from one point to another; not for straight up or down."""
+    """Returns a view from one point to another; not for straight up or down."""
     position = np.array(position, float)
     forward = np.array(at, float) - position
     forward /= np.linalg.norm(forward)
@@ -83,21 +83,21 @@ def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> ImageV
 
 
 def turned(axis: Any, angle: float) -> Any:
-    """Rotation (3, 3) by Rodrigues' formula."""
+    """Returns a rotation (3, 3) by Rodrigues' formula."""
     x, y, z = np.array(axis, float) / np.linalg.norm(axis)
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
 def rigid(rotation: Any, position: Any) -> Any:
-    """A frame (4, 4)."""
+    """Returns a frame (4, 4)."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation, position
     return T
 
 
 def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
-    """The rows that belong to something of one kind, or to one such thing."""
+    """Returns the rows of items of one kind, or of one such item."""
     these = buffer.kinds[: buffer.count] == kind
     if item is not None:
         these &= buffer.items[: buffer.count] == item
@@ -105,14 +105,14 @@ def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
 
 
 def rectangle(view: ImageView, row: Any) -> tuple[Any, Any]:
-    """Lower left and upper right pixel of a panel."""
+    """Returns the lower left and upper right pixel of a panel."""
     half = row["mat"][:, :2] @ row["size"][:2]
     corners, _ = view.project(np.array([row["pos"] - half, row["pos"] + half], float))
     return corners[0], corners[1]
 
 
 def texts_in(view: ImageView, rows: Any, panel: Any) -> list[str]:
-    """What is written on one panel, top first."""
+    """Returns the text on one panel, top first."""
     low, high = rectangle(view, panel)
     found = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
@@ -123,6 +123,6 @@ def texts_in(view: ImageView, rows: Any, panel: Any) -> list[str]:
 
 
 def corner_lines(mirror: Mirror) -> list[str]:
-    """What the panel in the upper left corner says."""
+    """Returns the text of the panel in the upper left corner."""
     panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
     return [] if panels is None else [text.decode() for text in panels.texts[0]]

@@ -1,4 +1,4 @@
-"""A host in a process of its own, asked about itself line by line."""
+"""A window or page in a separate process, queried line by line."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import IO, Any, Self
 
 from commands import start_program
 
-# Before every program: `answer()` answers what was asked by then.
+# Precedes every program: `answer()` answers pending questions.
 _PRELUDE = """
 import json, queue, sys, threading
 import numpy as np
@@ -42,7 +42,7 @@ class Driver:
         errors: where its standard error goes; to that of the tests when None.
     """
 
-    goodbye = ""  # an expression that closes what it shows
+    goodbye = ""  # an expression that closes the window or page
     patience = 15  # s
     opens_windows = False
 
@@ -78,7 +78,7 @@ class Driver:
     def _read(self) -> None:
         for line in self._output:
             self._lines.put(line.strip())
-        self._lines.put("")  # nothing more comes
+        self._lines.put("")  # no further output
 
     def _expect(self, start: str, seconds: float) -> str:
         end = time.monotonic() + seconds
@@ -92,7 +92,7 @@ class Driver:
                 return line
 
     def ask(self, expression: str) -> Any:
-        """What an expression about the window `w` is now."""
+        """Returns the current value of an expression about the window `w`."""
         self._input.write(expression + "\n")
         self._input.flush()
         return json.loads(self._expect("=", 20)[1:])
@@ -107,7 +107,7 @@ class Driver:
             assert time.monotonic() < end, f"never true: {expression}"
 
     def close(self) -> None:
-        """Ends the process, as a user closes what it shows."""
+        """Ends the process like a user who closes the window."""
         process = self.process
         try:
             if process.is_alive():

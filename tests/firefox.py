@@ -1,4 +1,4 @@
-"""Works pages in Firefox, by WebDriver BiDi."""
+"""Controls pages in Firefox with WebDriver BiDi."""
 
 from __future__ import annotations
 
@@ -31,10 +31,7 @@ _SETTINGS = {
 
 
 class Firefox:
-    """A page in Firefox.
-
-    Args:
-        size: of the page, pixels.
+    """A page in Firefox of a size in pixels.
 
     Attributes:
         faults: errors of the page.
@@ -84,12 +81,12 @@ class Firefox:
                 return found["result"]
 
     def goto(self, url: str) -> None:
-        """Opens a page, and waits until it is ready."""
+        """Opens a page and waits until it is ready."""
         self._do("browsingContext.navigate", context=self._context, url=url, wait="complete")
         self.until("document.documentElement.dataset.ready === '1'")
 
     def evaluate(self, expression: str) -> Any:
-        """What an expression of the page is."""
+        """Returns the value of a page expression."""
         found = self._do(
             "script.evaluate",
             expression=f"JSON.stringify({expression})",

@@ -78,7 +78,7 @@ class Client:
         return self.answer(self.ask(name, more))[0]
 
     def read(self) -> Any:
-        """The newest state that is not known."""
+        """Returns the newest unknown state."""
         before = getattr(self.last, "message_id", 0)
         is_new = False
         while not is_new or select.select([self.udp], [], [], 0)[0]:
@@ -88,7 +88,7 @@ class Client:
         return self.last
 
     def fresh(self) -> Any:
-        """A state that was sent after what was asked for before."""
+        """Returns a state sent after the last request."""
         self.read()
         return self.read()
 
@@ -116,7 +116,7 @@ class Client:
 
 
 def impedance(client: Client, cycles: int, amplitude: float = 0.2, hook=lambda k: True) -> int:
-    """Follows a cosine by torques; returns the status of the answer to Move."""
+    """Follows a cosine by torques and returns the status of the answer to Move."""
     number, status = client.move(TORQUES)
     assert status == 1, status
     state = client.read()
@@ -133,7 +133,7 @@ def impedance(client: Client, cycles: int, amplitude: float = 0.2, hook=lambda k
             k_ * (g - q) - d * dq
             for k_, d, g, q, dq in zip(K, D, goal, state.q, state.dq, strict=True)
         ]
-        # As libfranka limits it, so that it may begin while the robot moves.
+        # Limited as in libfranka, so that it can begin while the robot moves.
         tau = [d + max(-0.99, min(0.99, t - d)) for t, d in zip(tau, state.tau_J_d, strict=True)]
         if hook(k):
             client.send(state, tau=tau, last=k == cycles - 1)
@@ -185,7 +185,7 @@ def violations(client: Client, found: dict[str, Any]) -> None:
         after = client.fresh()
         found[name] = [status, flags(state), state.robot_mode, refused, recovered,
                        after.robot_mode, flags(after), sum(after.reflex_reason)]  # fmt: skip
-        goal = time.monotonic() + 0.3  # it comes to rest, in the time that goes on
+        goal = time.monotonic() + 0.3  # it comes to rest while time continues
         while time.monotonic() < goal:
             client.read()
     found["q0"] = q0
@@ -232,7 +232,7 @@ def requests(client: Client, found: dict[str, Any]) -> None:
 
 
 def greet(port: int) -> list[int]:
-    """Says what is nonsense, each by a connection of its own; the answer to another version."""
+    """Sends invalid requests on separate connections; returns the answer to a wrong version."""
     for text in (b"\0\0", b"", b"\xff" * 40, struct.pack("<III", 1, 1, 12),
                  struct.pack("<IIIH", 0, 1, 15, 10)):  # fmt: skip
         with socket.create_connection(("127.0.0.1", port), 5.0) as probe:
@@ -245,7 +245,7 @@ def greet(port: int) -> list[int]:
 
 
 def follow(client: Client, modes: tuple[int, int], value, found: dict[str, Any]) -> None:
-    """Commands 500 times what `value` says of the first state, the share of time, and finishes."""
+    """Commands 500 times `value` of the first state and the share of time, and finishes."""
     number, found["begun"] = client.move(modes)
     first = client.read()
     for k in range(500):

@@ -1,7 +1,7 @@
-"""A robot of Franka on FCI, as far as a client that only listens sees it.
+"""A Franka robot on FCI, as far as a client that only reads needs it.
 
-Made by `ctypes` alone, as libfranka-common's headers have it; `python tests/franka_server.py` plays
-one that moves.
+Made with `ctypes` from libfranka-common's headers. `python tests/franka_server.py` plays a moving
+one.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 
 def _state_type(version: int) -> type[ctypes.LittleEndianStructure]:
-    """`RobotState` of a version: the order of rbk_types.h, packed."""
+    """Returns `RobotState` of a version: the order of rbk_types.h, packed."""
     real = ctypes.c_float if version >= 10 else ctypes.c_double
     flags = ctypes.c_bool * (41 if version >= 5 else 37)
     named: list[tuple[str, Any]] = [("message_id", ctypes.c_uint64)]
@@ -60,7 +60,7 @@ STATES = {version: _state_type(version) for version in range(3, 11)}
 
 
 def state(version: int = 10, **values: Any) -> bytes:
-    """A state; what is not given is 0, except that the robot is idle."""
+    """Returns a state; omitted values are 0, except that the robot is idle."""
     made = STATES[version]()
     for name, value in {"robot_mode": 1, **values}.items():
         if isinstance(value, list | tuple):
@@ -145,7 +145,7 @@ class FrankaServer:
             self._states.sendto(datagram, self.to)
 
     def state(self, **values: Any) -> bytes:
-        """The next state of this version."""
+        """Returns the next state of this version."""
         self._count += 1
         return state(self.version, **{"message_id": self._count, **values})
 
@@ -185,7 +185,7 @@ class FrankaServer:
 
 
 def play(server: FrankaServer, seconds: float, values: Callable[[float], dict[str, Any]]) -> int:
-    """Sends states at 1 kHz; returns their number."""
+    """Sends states at 1 kHz and returns their number."""
     assert server.started.wait(30.0)
     begin, sent = time.perf_counter(), 0
     while (t := sent * 1e-3) < seconds and server.started.is_set():
@@ -196,7 +196,7 @@ def play(server: FrankaServer, seconds: float, values: Callable[[float], dict[st
 
 
 def moving(t: float) -> dict[str, Any]:
-    """What an arm would say that nods."""
+    """Returns the state of a nodding arm."""
     q = [0.3 * math.sin(0.8 * t), -0.8, 0.0, -2.3 + 0.2 * math.sin(t), 0.0, 1.6, 0.8]
     torques = [0.5 * math.cos(t), -22.0, -1.0, 21.0 + 2.0 * math.sin(t), 1.0, 2.2, 0.0]
     return {

@@ -1,4 +1,4 @@
-"""Measurement packets made by `struct` alone, as the interface's sizes have them."""
+"""Measurement packets made with `struct` alone, with the sizes of the interface."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ TABLE = [
     (692, 49, "f", "mass_matrix"),
     (888, 7, "f", "gravity_torques"),
 ]
-UPRIGHT = [1, 0, 0, 0.1, 0, 1, 0, 0.2, 0, 0, 1, 0.3]  # 3 x 4, row by row
+UPRIGHT = [1, 0, 0, 0.1, 0, 1, 0, 0.2, 0, 0, 1, 0.3]  # 3 x 4, row-major
 
 
 def measurement(counter: int = 0, **fields: Any) -> bytes:
-    """A packet of an idle robot, with these fields set to numbers as they stand on the wire."""
+    """Returns a packet of an idle robot with these fields set to encoded values."""
     packet = bytearray(struct.calcsize(FORMAT))
     given = {"send_counter": counter, "packet_size": 916, "datagram_id": 0x2006, "state": 1}
     given |= {"quality": 3, "flange_frame": UPRIGHT, **fields}
@@ -68,7 +68,7 @@ def measurement(counter: int = 0, **fields: Any) -> bytes:
 
 
 def give(receiver: FriReceiver, controller: socket.socket, *packets: bytes) -> None:
-    """Sends packets and waits until the last of them is dealt with."""
+    """Sends packets and waits until the last of them has been processed."""
     before = receiver.counters.received
     for packet in packets:
         controller.sendto(packet, ("127.0.0.1", receiver.port))

@@ -23,7 +23,7 @@ FIXED = Structure(TEXT)
 
 
 def attack(data: bytes) -> None:
-    """One input: a structure string and packets for it, or packets for the fixed structure."""
+    """Runs one input: a structure string and packets for it, or packets for the fixed structure."""
     provider = atheris.FuzzedDataProvider(data)
     if provider.ConsumeBool():
         packets = [provider.ConsumeBytes(216) for _ in range(3)]

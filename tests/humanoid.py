@@ -25,7 +25,7 @@ _RADII = {"hip": 0.05, "knee": 0.045, "ankle": 0.045, "torso": 0.06, "shoulder":
 
 
 def _capsule(end: np.ndarray, radius: float) -> dict[str, Any]:
-    """From the origin of a link to where it carries another one."""
+    """Returns a capsule from a link's origin to the origin of the next link."""
     length = float(np.linalg.norm(end))
     z = end / length
     x = np.cross([0.3, 1.0, 0.2], z)

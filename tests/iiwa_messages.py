@@ -75,12 +75,12 @@ _CLASSES = _make()
 
 
 def values(*numbers: float) -> dict[str, Any]:
-    """A list of joint values."""
+    """Returns a list of joint values."""
     return {"value": numbers}
 
 
 def monitoring(counter: int = 1, **parts: dict[str, Any]) -> bytes:
-    """A message of a controller that monitors, with other values in its parts."""
+    """Returns a message of a monitoring controller with other values in its parts."""
     q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]
     all_parts: dict[str, dict[str, Any]] = {
         "header": {
@@ -112,22 +112,22 @@ def monitoring(counter: int = 1, **parts: dict[str, Any]) -> bytes:
 
 
 def framed(message: bytes) -> bytes:
-    """As FRI 2.7 sends it: length, message, checksum."""
+    """Returns a message as FRI 2.7 sends it: length, message, checksum."""
     return struct.pack("<I", len(message)) + message + struct.pack("<I", zlib.crc32(message))
 
 
 def read_command(packet: bytes) -> Any:
-    """What a client has sent."""
+    """Returns the decoded command of a client."""
     return _CLASSES["Command"].FromString(packet)
 
 
 def read_monitoring(packet: bytes) -> Any:
-    """What a controller has sent."""
+    """Returns the decoded message of a controller."""
     return _CLASSES["Monitoring"].FromString(packet)
 
 
 def command(counter: int, reflected: int, **data: Any) -> bytes:
-    """A client's message."""
+    """Returns a client's message."""
     header = {
         "messageIdentifier": 0x34001,
         "sequenceCounter": counter,

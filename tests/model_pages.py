@@ -1,4 +1,4 @@
-"""Pages of models that nobody here wrote, and pictures of them by MuJoCo's classic renderer."""
+"""Pages of third-party models, and images of them by MuJoCo's classic renderer."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from sero_mj.viewer.player.capture import CapturedRun
 from sero_mj.viewer.player.page import write_page
 from sero_mj.viewer.player.soft import SoftParts, soft_of
 
-NO_SKY = (0, 0, 0)  # of what no geom covers
+NO_SKY = (0, 0, 0)  # color of uncovered pixels
 
 
 def captured(
@@ -52,7 +52,7 @@ def captured(
 
 
 def rolled_out(model: mujoco.MjModel, frames: int, steps: int) -> list[mujoco.MjData]:
-    """States of a model that falls, `steps` steps apart."""
+    """Returns states of a falling model, `steps` steps apart."""
     data, states = mujoco.MjData(model), []
     mujoco.mj_forward(model, data)
     for _ in range(frames):
@@ -66,7 +66,7 @@ def rolled_out(model: mujoco.MjModel, frames: int, steps: int) -> list[mujoco.Mj
 def classic(
     model: mujoco.MjModel, data: mujoco.MjData, camera: Any, size: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """A picture (h, w, 3), and where anything of the model covers it (h, w)."""
+    """Returns an image (h, w, 3) and where the model covers it (h, w)."""
     with mujoco.Renderer(model, size[1], size[0]) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
@@ -78,7 +78,7 @@ def classic(
     return picture, covered
 
 
-# The picture alone at some size, as digits of red, green, blue and alpha.
+# The image alone at some size, as digits of red, green, blue and alpha.
 DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
     player.recording.seek(time);
@@ -107,7 +107,7 @@ def drawn(
     *,
     shadows: bool = False,
 ) -> Any:
-    """What a page's canvas shows at a time (s): (h, w, 4) uint8."""
+    """Returns the canvas of a page at a time (s), (h, w, 4) uint8."""
     import base64
 
     text = page.evaluate(DRAWN, [*size, time, list(hidden), shadows])
@@ -116,11 +116,11 @@ def drawn(
 
 
 def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
-    """Pixels that both cover by those that any covers."""
+    """Returns the pixels covered by both divided by those covered by any."""
     return float((one & other).sum() / max((one | other).sum(), 1))
 
 
 def page_of(found: CapturedRun, path: Path) -> Path:
-    """Writes a page; returns its path."""
+    """Writes a page and returns its path."""
     write_page(found, path, path.stem)
     return path

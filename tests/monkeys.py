@@ -54,7 +54,7 @@ class Monkey:
         }  # fmt: skip
 
     def events(self) -> Iterator[Event | None]:
-        """Yields events, and None where what follows is for the next frame."""
+        """Yields events, and None if the following ones are for the next frame."""
         acts, weights = list(self._acts), list(self._acts.values())
         while True:
             for event in self._random.choices(acts, weights)[0]():
@@ -119,7 +119,7 @@ class Monkey:
             yield from self._click_at(at)
 
     def _field(self) -> Iterator[Event | None]:
-        """Types into a field, or a slider by Control and click."""
+        """Types into a field, or into a slider by Control and click."""
         if self.places:
             left, top, right, bottom = self.places[self._random.choice(sorted(self.places))]
             at = (left + right) / 2, (top + bottom) / 2
@@ -134,12 +134,12 @@ class Monkey:
 
 
 class WindowHand:
-    """Works a window from within its process, by what GLFW calls.
+    """Controls a window from within its process, through GLFW callbacks.
 
     Args:
         window: a `Window`.
         places: of the widgets of its panel; see `Monkey`.
-        seed: of what is done.
+        seed: of the events.
     """
 
     def __init__(self, window: Any, places: Mapping[str, Sequence[float]], seed: int) -> None:
@@ -155,10 +155,10 @@ class WindowHand:
         self._events = self.monkey.events()
 
     def run(self, count: int) -> int:
-        """Does so many events, up to eight before each frame.
+        """Runs this number of events, up to eight before each frame.
 
         Returns:
-            how many frames there were; -1 where the window is closed.
+            The number of frames, or -1 if the window is closed.
         """
         frames = done = 0
         while done < count:
@@ -217,18 +217,18 @@ class PageHand:
     def __init__(self, page: Any) -> None:
         self._page = page
         self._line = page.context.new_cdp_session(page)
-        # What comes with one frame each: class, kind and what it has.
+        # Events that arrive with one frame each: class, kind and details.
         self._waiting: list[list[tuple[str, str, dict[str, Any]]]] = [[]]
 
     def do(self, event: Event) -> None:
-        """Does one event, or keeps it for the next one that is the browser's own."""
+        """Sends one event, or stores it for the next one that is the browser's own."""
         name, *how = event
         if name in ("button", "resize", "text"):
             self.flush()
         getattr(self, f"_{name}")(*how)
 
     def flush(self) -> None:
-        """Does what was kept, and returns when the page has heard of it."""
+        """Sends the stored events and returns when the page has received them."""
         waiting, self._waiting = self._waiting, [[]]
         self._page.evaluate(_DISPATCH, waiting)
 

@@ -1,6 +1,6 @@
-"""Recursive Newton-Euler on a DH table in numpy: the second route to what MuJoCo computes.
+"""Recursive Newton-Euler on a DH table in NumPy, to check MuJoCo's results.
 
-Source: Craig, Introduction to Robotics, section 6.5, here with all vectors in the base's frame.
+Source: Craig, Introduction to Robotics, section 6.5, here with all vectors in the base frame.
 """
 
 from __future__ import annotations
@@ -20,10 +20,9 @@ def inverse_dynamics(
     gravity: float = 9.81,
     force=(0.0, 0.0, 0.0),
 ) -> np.ndarray:
-    """Joint torques (n,) that move links, without motors and friction.
+    """Returns joint torques (n,) that move links, without motors and friction.
 
-    Args:
-        force: (3,), what acts on the flange from outside, in the base's frame, N.
+    Args: force: (3,), external force on the flange, in the base frame, N.
     """
     n, table = robot.n, robot.dh
     qd = np.zeros(n) if velocities is None else np.asarray(velocities)
@@ -36,7 +35,7 @@ def inverse_dynamics(
     forces, moments, centers = [], [], []
     for i in range(n):
         z, R = axes[i], T[i + 1, :3, :3]
-        # The axis goes with the link before it; its foot is where the joint acts.
+        # The axis moves with the previous link; its foot is where the joint acts.
         arm = points[i] - origin
         acceleration = acceleration + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
         velocity = velocity + np.cross(omega, arm)

@@ -1,4 +1,4 @@
-"""A second, slow opinion on packets, and packets that are wrong in every way we can think of."""
+"""A slow reference for packets, and packets that are malformed in many ways."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 
-# The structure that is attacked: an id, the size, a counter, values, a vector, a frame, an integer.
+# The structure under attack: an id, the size, a counter, values, a vector, a frame, an integer.
 TEXT = "1H=0x2006 1H=size number:1I 7F 1Vf tool:1M 1h"
 FORMAT = struct.Struct("<HHI7d3f16dh")
 SPECIAL = np.array(
@@ -17,7 +17,7 @@ LENGTHS = (0, 1, 7, 8, 9, 100, FORMAT.size - 1, FORMAT.size + 1, 1472, 1473, 900
 
 
 def good_packet(random: np.random.Generator, number: int) -> bytes:
-    """A packet that is to be applied, whatever its finite numbers are."""
+    """Returns a packet that must be applied, whatever its finite values are."""
     matrix = np.eye(4)
     rotation, _ = np.linalg.qr(random.normal(size=(3, 3)))
     matrix[:3, :3] = rotation * np.sign(np.linalg.det(rotation))
@@ -30,17 +30,17 @@ def good_packet(random: np.random.Generator, number: int) -> bytes:
 
 
 def bad_packet(random: np.random.Generator, number: int) -> bytes:
-    """A packet that has been tampered with, or only noise; by chance it may still be good."""
+    """Returns a modified packet or noise; by chance it may be valid."""
     packet = bytearray(good_packet(random, number))
     kind = random.integers(8)
-    if kind == 0:  # any length, cut or with noise behind
+    if kind == 0:  # any length, truncated or with noise appended
         length = int(random.choice(LENGTHS) if random.random() < 0.1 else random.integers(0, 400))
         return bytes(packet[:length]) + random.bytes(max(length - len(packet), 0))
     if kind == 1:
         return random.bytes(FORMAT.size)
-    if kind == 2:  # a bit that fell over
+    if kind == 2:  # a flipped bit
         packet[random.integers(len(packet))] ^= 1 << int(random.integers(8))
-    elif kind == 3:  # a special number among the values
+    elif kind == 3:  # a special value among the values
         struct.pack_into("<d", packet, 8 + 8 * int(random.integers(7)), random.choice(SPECIAL))
     elif kind == 4:
         special = np.float32(random.choice(SPECIAL[[0, 1, 2, 8, 9]]))
@@ -56,7 +56,7 @@ def bad_packet(random: np.random.Generator, number: int) -> bytes:
 
 
 def cause(packet: bytes) -> str:
-    """Why a packet must not be applied, as a counter's name; empty for a good one."""
+    """Returns why a packet must not be applied, as a counter's name; empty for a valid one."""
     if len(packet) != FORMAT.size:
         return "wrong_size"
     numbers = FORMAT.unpack(packet)
@@ -72,9 +72,9 @@ def _is_frame(numbers: tuple[float, ...]) -> bool:
     if any(abs(columns[k][3] - (k == 3)) > 1e-6 for k in range(4)):
         return False
     axes = [column[:3] for column in columns[:3]]
-    if any(abs(entry) > 2.0 for axis in axes for entry in axis):  # else products overflow
+    if any(abs(entry) > 2.0 for axis in axes for entry in axis):  # otherwise products overflow
         return False
-    # Rows of the rotation, as orthonormal rows mean orthonormal columns.
+    # Rows of the rotation, because orthonormal rows imply orthonormal columns.
     rows = list(zip(*axes, strict=True))
     for i in range(3):
         for j in range(3):
@@ -87,7 +87,7 @@ def _is_frame(numbers: tuple[float, ...]) -> bool:
 
 
 def values_of(packet: bytes) -> dict[str, list[float]]:
-    """What a good packet says, flat."""
+    """Returns the values of a valid packet, flat."""
     numbers = FORMAT.unpack(packet)
     frame = [numbers[13 + 4 * column + row] for row in range(4) for column in range(4)]
     return {

@@ -1,4 +1,4 @@
-"""Looks at a page of this process as a browser does, without one: takes sections, says things."""
+"""Reads a page of this process like a browser, without one: receives sections, sends messages."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PATIENCE = 400  # frames
 
 
 def read_sections(message: bytes) -> dict[str, Any]:
-    """The sections of a message, as the page's script reads them: values, or bytes."""
+    """Returns the sections of a message as the page's script reads them: values or bytes."""
     (length,) = struct.unpack_from("<I", message)
     head = json.loads(message[4 : 4 + length])
     assert (4 + length) % 4 == 0
@@ -60,11 +60,11 @@ class PageClient:
         self.id: int = self.state["you"]["id"]
 
     def say(self, what: str, **words: Any) -> None:
-        """Says something to the page."""
+        """Sends a message to the page."""
         self.line.send(json.dumps({"t": what, **words}))
 
     def take(self) -> None:
-        """Takes what has come."""
+        """Receives pending messages."""
         while True:
             try:
                 message = self.line.recv(timeout=0)
@@ -79,7 +79,7 @@ class PageClient:
                 self.say("got")
 
     def until(self, found: Callable[[], Any]) -> Any:
-        """Shows frames until something is so; returns it."""
+        """Shows frames until a condition holds, and returns its value."""
         for _ in range(PATIENCE):
             self.take()
             result = found()
@@ -98,7 +98,7 @@ class PageClient:
             self.point(kind, x, y, **how)
 
     def widget(self, tree: str, label: str) -> dict[str, Any]:
-        """A node of a tree by what is read on it, else its id."""
+        """Returns a node of a tree by its text, else its id."""
         found: list[dict[str, Any]] = []
 
         def look(nodes: list[dict[str, Any]]) -> None:

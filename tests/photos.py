@@ -1,4 +1,4 @@
-"""Cameras and synthetic photos: what a known camera with a lens sees of a robot."""
+"""Cameras and synthetic photos: a robot seen by a known camera with a lens."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def lwr(**fields: Any) -> SerialRobot:
 
 
 def looking(at: Array, forward: Array, distance: float) -> Array:
-    """T_world_camera (4, 4) of a camera that looks at a point; x to the right, y down."""
+    """Returns T_world_camera (4, 4) of a camera that looks at a point; x to the right, y down."""
     z = np.asarray(forward, float) / np.linalg.norm(forward)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -37,7 +37,7 @@ def looking(at: Array, forward: Array, distance: float) -> Array:
 
 
 def camera(lens: str = "barrel", size: tuple[int, int] = (640, 400)) -> PhotoCamera:
-    """A camera beside the LWR: fx and fy differ, and its centre is not that of the picture."""
+    """Returns a camera beside the LWR with fx unequal to fy, and an off-center principal point."""
     model, coefficients = LENSES[lens]
     width, height = size
     matrix = np.array([[0.62, 0, 0.47], [0, 0.64, 0.34], [0, 0, 1]]) * [[width], [width], [1]]
@@ -46,7 +46,7 @@ def camera(lens: str = "barrel", size: tuple[int, int] = (640, 400)) -> PhotoCam
 
 
 def photo(world: World, data: mujoco.MjData, by: PhotoCamera) -> Array:
-    """What it sees of a scene: drawn, and bent by OpenCV as the lens does."""
+    """Returns a photo of a scene: rendered, then distorted by OpenCV like the lens does."""
     plane = PlaneImage(by, (4096, 4096))
     renderer = make_renderer(world, *plane.size, is_draft=False)
     try:

@@ -1,4 +1,4 @@
-"""Installs example packages of `tests/plugins`, and ones that tests write, as pip would."""
+"""Installs example packages of `tests/plugins`, and ones that tests write, like pip."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ PLUGINS = Path(__file__).parent / "plugins"
 
 
 def install(folder: Path, module: str, group: str, name: str, item: str) -> None:
-    """Puts a module into a folder, with the metadata by which its entry point is found.
+    """Copies a module into a folder, with the metadata for its entry point.
 
     Args:
         folder: to be put on the module search path.
         module: a file in `tests/plugins`.
         group: of the entry point.
         name: of the entry point.
-        item: what it names in the module.
+        item: the object in the module.
     """
     shutil.copy(PLUGINS / f"{module}.py", folder)
     register(folder, module, group, [f"{name} = {module}:{item}"])

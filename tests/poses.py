@@ -1,4 +1,4 @@
-"""Poses put together from turns and moves: the second route to tables of joints."""
+"""Poses composed of rotations and translations, to check tables of joints."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 
 
 def rot(axis: int, angle: float) -> np.ndarray:
-    """A turn about x, y or z (0, 1, 2), rad, as a frame (4, 4)."""
+    """Returns a rotation about x, y or z (0, 1, 2), rad, as a frame (4, 4)."""
     turn = np.eye(4)
     c, s = math.cos(angle), math.sin(angle)
     a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -17,12 +17,12 @@ def rot(axis: int, angle: float) -> np.ndarray:
 
 
 def move(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """A shift, m, as a frame (4, 4)."""
+    """Returns a translation, m, as a frame (4, 4)."""
     T = np.eye(4)
     T[:3, 3] = x, y, z
     return T
 
 
 def chain(*steps: np.ndarray) -> np.ndarray:
-    """The product of frames, from left to right."""
+    """Returns the product of frames, from left to right."""
     return np.linalg.multi_dot([*steps, np.eye(4)])

@@ -1,4 +1,4 @@
-"""Recordings to be tested with."""
+"""Recordings for tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from sero_mj.data.record.recording_writer import RecordingWriter
 EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
 DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}
 LAYOUT = Structure("2F1V1M")
-# A recording of `moving` packets, played: give its `file` and what else is declared, `more`.
+# A recording of `moving` packets, replayed: `file` is its path, `more` further declarations.
 SCENE = """
 [robots.two]
 dh_convention = "craig"
@@ -47,14 +47,14 @@ def begin(path: Path, *names: str, chunk_bytes: int = 1 << 20) -> RecordingWrite
 def record(
     path: Path, packets: Sequence[bytes], *, chunk_bytes: int = 1 << 20, close: bool = True
 ) -> list[tuple[float, bytes]]:
-    """Records packets 0.1 s apart; returns what `packets` should give."""
+    """Records packets 0.1 s apart and returns the expected result of `packets`."""
     live = path.with_suffix(".live")
     writer = begin(live, "arm", chunk_bytes=chunk_bytes)
     start = writer.clock.monotonic_ns
     for i, packet in enumerate(packets):
         writer.write_raw("arm", packet, (start + i * 100_000_000) / 1e9)
     writer.flush()
-    if not close:  # as its process would leave it when it is killed
+    if not close:  # as its process leaves it when killed
         copy(live, path)
     writer.close()
     if close:
@@ -71,7 +71,7 @@ def numbered(count: int) -> list[bytes]:
 
 
 def moving(count: int) -> list[bytes]:
-    """Packets in which the first joint turns by 0.1 rad each."""
+    """Returns packets in which the first joint rotates by 0.1 rad each."""
     return [
         LAYOUT.encode({"values0": [k / 10, 0], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
         for k in range(count)

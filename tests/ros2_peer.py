@@ -137,7 +137,7 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 
 def made(kind: Any, values: Any) -> Any:
-    """A message of a type, from what JSON has: missing numbers are 0, missing lists empty."""
+    """Returns a message of a type from JSON: missing numbers are 0, missing lists empty."""
     if kind is TFMessage:
         return TFMessage([made(TransformStamped, each) for each in values["transforms"]])
     if not (isinstance(kind, type) and issubclass(kind, IdlStruct)):

@@ -50,7 +50,7 @@ def text(said: str) -> bytes:
 
 
 def transform(parent: str, child: str, position: Sequence[float]) -> bytes:
-    """Of frames that are not turned."""
+    """Returns a message of frames without rotation."""
     vector = STORE.types["geometry_msgs/msg/Vector3"](*map(float, position))
     rotation = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
     pose = STORE.types["geometry_msgs/msg/Transform"](translation=vector, rotation=rotation)
@@ -87,7 +87,7 @@ class Peer:
         self._process.communicate()
 
     def do(self, **command: Any) -> str:
-        """Sends a command, and returns what the peer says when it is done."""
+        """Sends a command and returns the peer's answer when it is done."""
         assert self._process.stdin is not None
         for key, value in command.items():
             command[key] = value.hex() if isinstance(value, bytes) else value

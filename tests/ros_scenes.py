@@ -1,4 +1,4 @@
-"""What the tests of foxglove and zenoh share."""
+"""Shared by the tests of foxglove and zenoh."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from sero_mj.load import load_scene
 
 
 def assert_refused(kind: str, fields: dict[str, Any], key: str, reason: str) -> None:
-    """A source with wrong fields is refused with this reason."""
+    """Asserts that a source with invalid fields is rejected with this reason."""
     with pytest.raises(DeclarationError) as caught:
         make_source("driver", {"kind": kind, **fields})
     (problem,) = caught.value.problems
@@ -31,7 +31,7 @@ def assert_refused(kind: str, fields: dict[str, Any], key: str, reason: str) -> 
 def mirrored_recorded_and_replayed(
     text: str, folder: Path, wait: Callable[[], bool], send: Callable[[Any, bytes], None]
 ) -> Source:
-    """The source of a recording that shows the same as its scene; `send` sends two packets."""
+    """Checks that a recording shows the same as its scene; `send` sends two packets."""
     file, recording = folder / "arm.toml", folder / "arm.mcap"
     file.write_text(text)
     scene = load_scene(file)
@@ -45,7 +45,7 @@ def mirrored_recorded_and_replayed(
 
     with Mirror(scene) as mirror:
         source: Any = mirror.sources["driver"]
-        mirror.advance()  # while nothing is there
+        mirror.advance()  # while nothing listens
         assert wait()
         with record_sources(mirror.sources, recording, scene=scene):
             send(source, joint_state(["c", "b", "a"], [0.25, 0.5, 1.0], [], [9.0, 8.0, 7.0]))

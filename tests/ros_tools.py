@@ -1,4 +1,4 @@
-"""Messages of ROS, bags with them, and publishers in processes of their own."""
+"""Messages of ROS, bags with them, and publishers in separate processes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def joint_state(
     stamp: int = 0,
     store: Any = STORE,
 ) -> Any:
-    """A message of joints; the stamp is in ns."""
+    """Returns a message of joints; the stamp is in ns."""
     types = store.types
     time = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
     order = ((0,) if store is OLD_STORE else ()) + (time, "")
@@ -58,7 +58,7 @@ def _pose(T: Any, kind: str = "Pose", vector: str = "Point") -> Any:
 
 
 def transforms(edges: Sequence[tuple[str, str, Any]], stamp: int = 0) -> Any:
-    """A message of transforms: parent, child, and T_parent_child (4, 4); the stamp is in ns."""
+    """Returns a message of transforms: parent, child, T_parent_child (4, 4); stamp in ns."""
     types = STORE.types
     each = [
         types["geometry_msgs/msg/TransformStamped"](
@@ -70,7 +70,7 @@ def transforms(edges: Sequence[tuple[str, str, Any]], stamp: int = 0) -> Any:
 
 
 def odometry(T: Any, child: str, velocity: Sequence[float] = (0, 0, 0), stamp: int = 0) -> Any:
-    """A message of odometry, with a pose (4, 4) in the frame `odom`; the stamp is in ns."""
+    """Returns a message of odometry with a pose (4, 4) in the frame `odom`; the stamp is in ns."""
     types, vector = STORE.types, STORE.types["geometry_msgs/msg/Vector3"]
     twist = types["geometry_msgs/msg/Twist"](vector(*map(float, velocity)), vector(0.1, 0.2, 0.3))
     return types["nav_msgs/msg/Odometry"](
@@ -82,12 +82,12 @@ def odometry(T: Any, child: str, velocity: Sequence[float] = (0, 0, 0), stamp: i
 
 
 def pose_stamped(T: Any, stamp: int = 0) -> Any:
-    """A message of a pose (4, 4); the stamp is in ns."""
+    """Returns a message of a pose (4, 4); the stamp is in ns."""
     return STORE.types["geometry_msgs/msg/PoseStamped"](_header(stamp, "map"), _pose(T))
 
 
 def encoded(message: Any) -> bytes:
-    """A message in CDR."""
+    """Returns a message in CDR."""
     return bytes(STORE.serialize_cdr(message, message.__msgtype__))
 
 
@@ -138,7 +138,7 @@ def read_joint_states(path: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 class Peer:
-    """Publishers in a process of their own; see `ros2_peer`."""
+    """Publishers in a separate process; see `ros2_peer`."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -149,12 +149,12 @@ class Peer:
         assert self._process.stdout.readline() == "done\n"
 
     def kill(self) -> None:
-        """Ends the process at once, without a farewell."""
+        """Kills the process without a farewell."""
         self._process.kill()
         self._process.wait(10)
 
     def say(self, **said: Any) -> None:
-        """Has it do something, and waits until it has."""
+        """Sends a command and waits until it is done."""
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(said) + "\n")
         self._process.stdin.flush()
@@ -166,14 +166,14 @@ class Peer:
 
 
 def free_domain() -> int:
-    """A domain that other tests beside do not use."""
+    """Returns a domain that other tests do not use."""
     worker = int(os.environ.get("PYTEST_XDIST_WORKER", "gw0")[2:])
     return 100 + (worker * 40 + os.getpid()) % 130
 
 
 @contextmanager
 def publishing(domain: int, lease: float = 10.0) -> Iterator[Peer]:
-    """Publishers in a domain, on this machine; `lease` (s) after a kill, others notice it."""
+    """Yields publishers in a domain on this machine. Others detect a kill after `lease` (s)."""
     script = Path(__file__).with_name("ros2_peer.py")
     command = [sys.executable, str(script), str(domain), str(lease)]
     with subprocess.Popen(

@@ -101,7 +101,7 @@ class RtdeServer:
         self._client.sendall(b"".join(messages))
 
     def package(self, recipe: int = 1, **values: Any) -> bytes:
-        """A data package of the recipe that was asked for; what is not given is 0."""
+        """Returns a data package of the requested recipe; omitted values are 0."""
         values = {"robot_mode": 7, "safety_mode": 1, **values}
         data = b""
         for name in self.recipe:
@@ -152,7 +152,8 @@ class RtdeServer:
             return message("v", struct.pack(">4I", *self.version))
         if kind == "O":
             (self.rate,) = struct.unpack_from(">d", payload)
-            self.recipe = payload[8:].decode().rstrip(",").split(",")  # ur_rtde ends it so
+            # Ur_rtde ends the session this way.
+            self.recipe = payload[8:].decode().rstrip(",").split(",")
             found = ",".join(self.types.get(name, "NOT_FOUND") for name in self.recipe)
             return message("O", b"\1" + found.encode())
         if kind in "SP":
@@ -163,7 +164,7 @@ class RtdeServer:
 
 
 def play(server: RtdeServer, seconds: float, values: Callable[[float], dict[str, Any]]) -> int:
-    """Sends packages at the rate that was asked for; returns their number."""
+    """Sends packages at the requested rate and returns their number."""
     assert server.started.wait(30.0)
     begin, sent = time.perf_counter(), 0
     while (t := sent / server.rate) < seconds and server.started.is_set():
@@ -174,7 +175,7 @@ def play(server: RtdeServer, seconds: float, values: Callable[[float], dict[str,
 
 
 def moving(t: float) -> dict[str, Any]:
-    """What an arm would say that nods."""
+    """Returns the values of a nodding arm."""
     q = [0.3 * math.sin(0.8 * t), -1.6, 1.4 + 0.3 * math.sin(t), -1.4, -1.57, 0.0]
     torques = [4.0 * math.cos(0.8 * t), -62.0, -28.0 - 6.0 * math.sin(t), -4.0, 1.0, 0.4]
     return {

@@ -1,4 +1,4 @@
-"""Runs to be tested with: synthetic ones of known numbers, simulated ones, and their recordings."""
+"""Runs for tests: synthetic ones with known values, simulated ones, and their recordings."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ HOME = np.deg2rad([0.0, 30.0, 0.0, -90.0, 0.0, 60.0, 0.0])
 
 
 def two_joints(name: str = "arm", **fields: object) -> SerialRobot:
-    """A joint that turns and one that slides."""
+    """Returns a robot with a revolute and a prismatic joint."""
     declared: dict[str, object] = {
         "dh_convention": "craig",
         "dh_params": [[0.0, 0.0, 0.0, 0.2], [0.0, 0.3, 0.0, 0.0]],
@@ -44,7 +44,7 @@ def sine_run(
     amplitude: float = 3.0,
     name: str = "run",
 ) -> RunLog:
-    """A motion that never repeats; torque errors are sines of `amplitude` Nm and 2 Hz."""
+    """Returns a motion that never repeats; torque errors are sines of `amplitude` Nm and 2 Hz."""
     robot = robot or two_joints()
     times = start + np.arange(round(duration * rate) + 1) / rate
     t = times - delay
@@ -61,7 +61,7 @@ def sine_run(
 
 @cache
 def simulated(stiffness: float = 800.0, duration: float = 0.5) -> Simulation:
-    """An LWR that swings on a joint impedance."""
+    """Returns a simulation of an LWR that swings under joint impedance."""
     lwr = SerialRobot.from_model("lwr", joint_angles=HOME)
     scenario = Scenario(
         Scene(robots=[lwr]),
@@ -77,14 +77,14 @@ def simulated(stiffness: float = 800.0, duration: float = 0.5) -> Simulation:
 
 
 def in_old_words(text: str) -> str:
-    """Events of measured angles and velocities as simulations were recorded before."""
+    """Returns events with the former names of measured angles and velocities."""
     return text.replace("_joint_angles", "_angles").replace("_joint_velocities", "_velocities")
 
 
 def record_run(
     simulation: Simulation, path: Path, *, attach: bool = True, is_old: bool = False
 ) -> Path:
-    """Records a simulation as the writer of simulations does."""
+    """Records a simulation like the writer of simulations."""
     structure = simulation.layout.structure
     if is_old:
         structure = Structure(in_old_words(structure.text), column_major=False)
@@ -113,7 +113,7 @@ def record_packets(
     files: Mapping[str, str],
     source: str = "udp",
 ) -> Path:
-    """Records packets as `sero-mj record` does: as they came, with the files of the scene."""
+    """Records packets like `sero-mj record`: unchanged, with the files of the scene."""
     layout = Structure(structure)
     with RecordingWriter(path, about={"scene": "mine"}) as writer:
         writer.add_source(
@@ -125,7 +125,7 @@ def record_packets(
         )
         for name, text in files.items():
             writer.attach(name, "application/toml", text.encode())
-        begin = writer.clock.monotonic_ns / 1e9 + 2.0  # the first packet comes late
+        begin = writer.clock.monotonic_ns / 1e9 + 2.0  # the first packet is late
         for i, time in enumerate(times):
             packet = layout.encode({event: values[i] for event, values in rows.items()})
             writer.write_raw(source, packet, begin + time)

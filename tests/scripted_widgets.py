@@ -1,4 +1,4 @@
-"""Stands for the widgets of a panel: notes what is built, and does what a test wants done."""
+"""A stand-in for the widgets of a panel: logs what is built and does what a test requests."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ class ScriptedWidgets:
         return False, now
 
     def texts(self) -> list[str]:
-        """All texts, in order."""
+        """Returns all texts in order."""
         return [label for kind, label in self.built if kind == "text"]
 
     def text(self, words: str, mood: str = "plain") -> None:

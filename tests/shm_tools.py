@@ -1,4 +1,4 @@
-"""Blocks of shared memory of a test's own, and writers in C."""
+"""Test-only blocks of shared memory, and writers in C."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ needs_posix = pytest.mark.skipif(
 
 @pytest.fixture
 def block(request: pytest.FixtureRequest) -> Iterator[str]:
-    """A name that no block has; the test has to leave none behind."""
+    """Yields an unused block name; the test must not leave a block."""
     name = f"/sero_test_{os.getpid()}_{abs(hash(request.node.nodeid)) % 10**6}"
     yield name
     try:
@@ -33,7 +33,7 @@ def block(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 def make(name: str, content: bytes = b"") -> Block:
-    """Makes a block of one's own with this content."""
+    """Makes a block with this content."""
     made = Block(name, writable=True, create=True)
     made.resize(len(content))
     made.write(content)
@@ -46,12 +46,12 @@ def remove(block: Block) -> None:
 
 
 def unlink(name: str) -> None:
-    """Removes what a writer that was killed has left."""
+    """Removes what a killed writer has left."""
     remove(Block(name))
 
 
 def compile_c(source: Path, folder: Path) -> Path:
-    """Compiles a program in C, without a warning."""
+    """Compiles a program in C without a warning."""
     compiler = shutil.which("cc")
     if compiler is None:
         if shutil.which("apt-get"):

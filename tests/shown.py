@@ -1,4 +1,4 @@
-"""What tools work in, without a window: mirror, clock, switches, decor, and what was said."""
+"""The environment of tools without a window: mirror, clock, toggles, decor, and messages."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Shown:
     """See `sero_mj.viewer.session.tool.Shown`.
 
     Attributes:
-        said: the messages, and whether they are bad.
-        copied: what is on the clipboard.
+        said: the messages, and whether they are errors.
+        copied: the text on the clipboard.
         shows_panel: whether the panel was opened.
     """
 

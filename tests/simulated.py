@@ -1,6 +1,6 @@
-"""Robots with masses for tests of controllers, and a plain loop that lets them act.
+"""Robots with masses for tests of controllers, and a plain control loop.
 
-The LWR's masses stand here until its robot file has them (then `lwr_model` is `RobotModel.of`).
+The LWR's masses are here until its robot file has them (then `lwr_model` is `RobotModel.of`).
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from sero_mj.simulate.control.robot_model import RobotModel
 
 Array = NDArray[np.float64]
 
-# Links 1 to 7 of the LWR, rounded: mass (kg), centre (m) in the joint's frame, inertia (kg m2).
+# Links 1 to 7 of the LWR, rounded: mass (kg), center (m) in the joint frame, inertia (kg m2).
 MASSES = (2.49, 2.49, 2.49, 2.49, 1.73, 1.62, 0.118)
 CENTRES = (
     (0, 0.025, -0.08),
@@ -42,7 +42,7 @@ def lwr_robot() -> SerialRobot:
 
 
 def lwr_mujoco(timestep: float = 1e-3) -> tuple[mujoco.MjModel, list[int], int]:
-    """The LWR alone with masses: model, joint ids, body of the flange."""
+    """Returns the LWR alone with masses: model, joint ids, body of the flange."""
     world = World(Scene(robots=[lwr_robot()], floor=False))
     part, model = world.robots["lwr"], world.model
     model.body_mass[:] = 0.0
@@ -66,7 +66,7 @@ def lwr_model() -> RobotModel:
 
 
 class Loop:
-    """One robot in a world of its own, moved by torques."""
+    """One robot in its own world, moved by torques."""
 
     def __init__(self, timestep: float = 1e-3, angles: Array = START) -> None:
         self.model, joints, self.flange = lwr_mujoco(timestep)
@@ -86,7 +86,10 @@ class Loop:
     def run(
         self, seconds: float, act: Callable[[Sensed, Array], object], push: Array | None = None
     ) -> Array:
-        """Angles after every step, (steps, n); `act` writes torques into its second argument."""
+        """Returns angles after every step, (steps, n).
+
+        `act` writes torques into its second argument.
+        """
         steps = round(seconds / self.model.opt.timestep)
         log = np.empty((steps, self.n))
         for row in log:

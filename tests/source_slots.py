@@ -1,4 +1,4 @@
-"""Writes what sources have counted, as a mirror would."""
+"""Writes the counters of sources like a mirror."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NOTHING_YET = {
 
 
 def set_source(data: mujoco.MjData, world: World, name: str, **counts: float) -> None:
-    """Sets the slot of a source: zeros, nothing yet, and what is given."""
+    """Sets the slot of a source to these values and zeros, with nothing received."""
     assert counts.keys() <= set(SOURCE_FIELDS)
     given = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET | counts
     data.userdata[world.slots[f"sources.{name}"]] = list(given.values())
 
 
 def get_source(data: mujoco.MjData, world: World, name: str) -> dict[str, float]:
-    """The slot of a source, without what is as it was before anything came."""
+    """Returns the slot of a source without the values that are unchanged since the start."""
     values = data.userdata[world.slots[f"sources.{name}"]].tolist()
     before = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET
     found = zip(SOURCE_FIELDS, values, strict=True)

@@ -147,9 +147,7 @@ EYES = [(1.6, 1.0, 1.3), (-1.1, 1.4, 0.2), (0.9, -1.2, 1.0)]
 
 
 def tips_picked(world: World, rotations, eye) -> list[int]:
-    """Returns the minimum number of tips, of three, at which a frame is picked from the camera
-    side.
-    """
+    """Returns the minimum number of picked tips of a frame, of three, from the camera side."""
     view = look(eye, [0, 0, 0.6])
     data = world.make_data()
     buffer = draw(world, data, view=view)

@@ -305,7 +305,7 @@ def warm_world(*others: SerialRobot, doubles=(), **fields) -> World:
     return World(Scene(robots=[*others, robot], doubles=list(doubles), floor=False))
 
 
-def said(world: World, data=None, decor=None, toggles=None) -> list[str]:
+def texts_of(world: World, data=None, decor=None, toggles=None) -> list[str]:
     decor, toggles = decor or Decor(world), toggles or Toggles(world)
     buffer = decor.draw(data or world.make_data(), toggles, view_at(distance=4))
     return labels(buffer.rows[: buffer.count])
@@ -314,11 +314,11 @@ def said(world: World, data=None, decor=None, toggles=None) -> list[str]:
 def test_declared_input_is_shown_on_the_billboards() -> None:
     world = warm_world()
     data = world.make_data()
-    assert said(world, data) == [f"{name}  T  no data" for name in world.joints.names]
+    assert texts_of(world, data) == [f"{name}  T  no data" for name in world.joints.names]
     world.set_input(data, "warm.temperatures", [31.4, 30.6, -5.0, 99.9, 100.0, 0.2, 45.0])
     numbers = ["31", "31", "-5", "100", "100", "0", "45"]
     expected = [f"{n}  T  {t:>5} C" for n, t in zip(world.joints.names, numbers, strict=True)]
-    assert said(world, data) == expected
+    assert texts_of(world, data) == expected
 
 
 def test_nan_in_one_joint_shows_no_data_for_that_joint_only() -> None:
@@ -328,11 +328,11 @@ def test_nan_in_one_joint_shows_no_data_for_that_joint_only() -> None:
     data = world.make_data()
     world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
     world.set_input(data, "warm.currents", np.arange(7) / 8)
-    whole = said(world, data)
+    whole = texts_of(world, data)
     assert whole[3:6] == ["A2  msr     0.0 Nm", "    T     21 C", "    currents     0.12 A"]
     for wrong in (np.nan, np.inf):
         data.userdata[world.slots["warm.temperatures"]][4] = wrong
-        found = said(world, data)
+        found = texts_of(world, data)
         assert found[13] == "    T  no data"
         assert found[:13] + found[14:] == whole[:13] + whole[14:]
 
@@ -344,7 +344,7 @@ def test_robots_with_and_without_a_declared_input_are_shown_together() -> None:
         world = warm_world(*[plain, tiny][::order])
         data = world.make_data()
         world.set_input(data, "warm.temperatures", np.arange(20.0, 27.0))
-        found = said(world, data)
+        found = texts_of(world, data)
         assert "plain A1   -12.3 Nm" in found
         assert "tiny J1     0.000 rad" in found
         for k, name in enumerate(world.robots["warm"].robot.names):
@@ -363,9 +363,9 @@ def test_double_has_its_own_values_of_declared_inputs() -> None:
     data = world.make_data()
     Placer(world).place(data)
     world.set_input(data, "warm.temperatures", np.full(7, 40.0))
-    assert said(world, data)[6:8] == ["A6  T     40 C", "goal A1  T  no data"]
+    assert texts_of(world, data)[6:8] == ["A6  T     40 C", "goal A1  T  no data"]
     world.set_input(data, "goal.temperatures", np.full(7, 55.0))
-    assert said(world, data)[6:8] == ["A6  T     40 C", "goal A1  T     55 C"]
+    assert texts_of(world, data)[6:8] == ["A6  T     40 C", "goal A1  T     55 C"]
 
 
 @pytest.mark.parametrize("joints", [7, 4, 2])
@@ -575,13 +575,13 @@ def test_torques_of_a_robot_share_a_unit_prefix_from_its_largest_limit(
 def test_torques_set_at_run_time_replace_angles_on_billboards() -> None:
     world = world_of(show_billboards=True)
     data = world.make_data()
-    assert said(world, data)[0] == "A1     0.000 rad"
+    assert texts_of(world, data)[0] == "A1     0.000 rad"
     world.set_input(data, "lwr.torques", np.arange(7.0))
-    assert said(world, data)[2] == "E1     2.0 Nm"
+    assert texts_of(world, data)[2] == "E1     2.0 Nm"
     world = world_of(show_billboards=True, billboard_lines=["joint_angles"])  # as declared
     data = world.make_data()
     world.set_input(data, "lwr.torques", np.arange(7.0))
-    assert said(world, data)[0] == "A1     0.000 rad"
+    assert texts_of(world, data)[0] == "A1     0.000 rad"
 
 
 @pytest.mark.parametrize("lines", [None, ["torques"]])
@@ -594,7 +594,7 @@ def test_billboard_shows_the_torque_error_of_its_arrow_unless_lines_are_declared
     world.set_input(data, "lwr.commanded_torques", np.full(7, 12.5))
 
     def card() -> str:
-        return said(world, data, decor, toggles)[0].strip()
+        return texts_of(world, data, decor, toggles)[0].strip()
 
     torque = card()
     assert torque == "A1    10.0 Nm"

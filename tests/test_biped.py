@@ -31,9 +31,9 @@ def turn(axis: str, angle: float) -> np.ndarray:
 
 
 def toe_tip(angles: np.ndarray, side: float) -> np.ndarray:
-    """Returns the frame of the sole below the toe in hip coordinates, from rotations about x, y and
-    z and translations. `side` is 1 for the left leg and -1 for the mirrored right leg; `angles` has
-    shape (7,), rad.
+    """Returns the frame of the sole below the toe in hip coordinates.
+
+    `side` is 1 for the left leg and -1 for the mirrored right leg. `angles` has shape (7,), rad.
     """
     yaw, roll, pitch, knee, ankle, tilt, toe = angles
     at = np.zeros(3)
@@ -92,9 +92,7 @@ def standing() -> Simulation:
 
 
 def bodies_of(simulation: Simulation, row: int) -> dict[str, list[tuple[float, np.ndarray]]]:
-    """Returns masses and centers of mass (3,) of all bodies in the world, from the DH frames of
-    each leg, base first.
-    """
+    """Returns masses and centers of mass (3,) of all bodies in the world, by leg, base first."""
     robots, log = simulation.robots, simulation.log
     q = {name: log.of(name, "actual_angles")[row] for name in LEGS}
     bases = base_frames(robots, q, {"biped_left": log.signals["biped_left_base_frame"][row]})

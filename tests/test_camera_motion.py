@@ -86,7 +86,7 @@ def test_values_omitted_in_a_key_are_interpolated_from_its_neighbors(tmp_path) -
 
 
 @pytest.mark.parametrize(
-    ("text", "line", "key", "told"),
+    ("text", "line", "key", "expected"),
     [
         ("[[key]]\ntime = 0\n", 1, "key", "unknown section; did you mean 'keys'?"),
         ("", None, "keys", "is required; expected tables [[keys]]"),
@@ -97,14 +97,16 @@ def test_values_omitted_in_a_key_are_interpolated_from_its_neighbors(tmp_path) -
         ("[[keys]]\ntime = 2\n\n[[keys]]\ntime = 1\n", 5, "keys.1.time", "found 1; expected more"),
     ],
 )
-def test_errors_in_a_camera_path_name_file_line_and_key(tmp_path, text, line, key, told) -> None:
+def test_errors_in_a_camera_path_name_file_line_and_key(
+    tmp_path, text, line, key, expected
+) -> None:
     file = tmp_path / "path.toml"
     file.write_text(text)
     with pytest.raises(DeclarationError) as caught:
         read_camera_path(file)
     (problem,) = caught.value.problems
     assert (problem.file, problem.line, problem.key) == (str(file), line, key)
-    assert told in problem.message
+    assert expected in problem.message
 
 
 def test_turntable_rotates_uniformly_and_ends_where_it_started() -> None:

@@ -54,9 +54,7 @@ def at_pose(pose: Array) -> Target:
 
 
 def spring_energy(control: CartesianImpedanceController, pose: Array) -> float:
-    """Returns V in J: 1/2 e^T K e with the position error and -2 times the vector of the
-    quaternion.
-    """
+    """Returns V in J: 1/2 e^T K e with position error and -2 times the quaternion vector."""
     R, T = control.model.flange_rotation, control.model.flange()
     way, turn = pose[:3, 3] - T[:3, 3], R @ pose[:3, :3].T
     if control._in_flange:
@@ -342,7 +340,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
 
 
 @pytest.mark.parametrize(
-    ("fields", "told"),
+    ("fields", "expected"),
     [
         ({"stiffness": [1, 2, 3]}, {"reason": f"found 3; expected {STIFFNESSES}"}),
         ({"stiffness": 5}, {"reason": f"found one number; expected {STIFFNESSES}"}),
@@ -362,7 +360,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
         ({"nullspace_stifness": 3}, {"reason": "unknown key", "near": "nullspace_stiffness"}),
     ],
 )
-def test_invalid_gains_are_rejected(fields: dict[str, Any], told: dict[str, Any]) -> None:
+def test_invalid_gains_are_rejected(fields: dict[str, Any], expected: dict[str, Any]) -> None:
     (key,) = fields
-    with raises_with(key=key, **told):
+    with raises_with(key=key, **expected):
         CartesianImpedance(**fields)

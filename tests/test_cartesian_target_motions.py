@@ -118,7 +118,7 @@ def test_lwr_follows_reachable_poses() -> None:
     [
         (
             {"xyz": [0, 0, 1.0]},
-            r"^the flange cannot follow at t = \d\.\d+ s: it stays \d+\.\d mm and ",
+            r"^the flange cannot follow at t = \d\.\d+ s: its error is \d+\.\d mm and ",
         ),
         ({"rpy_deg": [0, 0, 179]}, r"at t = \d\.\d+ s: .*; joints? .*A6.* at the limit$"),
     ],

@@ -76,7 +76,7 @@ NUMBERS = "numbers in rows of equal length"
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "expected"),
     [
         *(
             (wrong, {"found": wrong, "expected": NUMBERS})
@@ -87,9 +87,9 @@ NUMBERS = "numbers in rows of equal length"
     ],
 )
 def test_values_that_are_not_numbers_are_rejected_with_the_event_name(
-    given: Any, told: dict[str, Any]
+    given: Any, expected: dict[str, Any]
 ) -> None:
-    with raises_with(key="level", **told):
+    with raises_with(key="level", **expected):
         Structure("level:2B").encode({"level": given})
 
 

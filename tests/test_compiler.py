@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sero_mj.robots.assemble.world import World
+from sero_mj.robots.assemble.world import World, world_without_meshes
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.simulate.control.compiler import Compiler, fingerprint
-from sero_mj.simulate.control.robot_model import RobotModel, world_without_meshes
+from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.scenario_file import read_scenario
 from sero_mj.simulate.simulation import Simulation
@@ -117,7 +117,7 @@ def test_second_simulation_compiles_nothing(name: str, monkeypatch: pytest.Monke
 def test_controller_model_equals_the_model_with_meshes(name: str) -> None:
     robot = SerialRobot.from_model(name)
     whole = World(Scene(robots=[robot], floor=False), dynamic=True)
-    bare = world_without_meshes(robot)
+    bare = world_without_meshes([robot])
     assert robot.filenames and whole.model.nmesh > 0 and bare.model.nmesh == 0
     models = RobotModel.of(robot, whole), RobotModel.of(robot, bare), RobotModel.of(robot)
     found = []

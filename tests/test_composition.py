@@ -26,8 +26,9 @@ ON_TORSO = frame(rotation_from_rpy(np.array([1.2, 0.2, 0.4])), np.array([0.0, 0.
 
 @cache
 def body() -> list[SerialRobot]:
-    """Returns a torso of two joints, an arm on its link 1, and a finger of two joints on the arm's
-    flange. They are listed in a different order than they are mounted.
+    """Returns a torso of two joints, an arm on its link 1, and a finger on the arm's flange.
+
+    The finger has two joints. The robots are not listed in mounting order.
     """
     still = {"viscous_friction": 0.0, "coulomb_friction": 0.0, "motor_inertias": 0.0}
     finger = SerialRobot(
@@ -63,9 +64,7 @@ def dynamics_of(name: str) -> RobotDynamics:
 
 
 def links(angles: dict[str, np.ndarray]) -> list[tuple[float, np.ndarray, np.ndarray, np.ndarray]]:
-    """Returns mass, inertia about the center, center and rotation in the world of all moving links,
-    from the DH tables.
-    """
+    """Returns mass, inertia about the center, center and rotation of all moving links, by DH."""
     finger, arm, torso = body()
     below = torso.dh.frames(angles["torso"], torso.base_frame)
     middle = arm.dh.frames(angles["arm"], below[1] @ arm.base_frame)
@@ -106,9 +105,7 @@ def potential(q: np.ndarray) -> float:
 
 
 def kinetic(q: np.ndarray, qd: np.ndarray, step: float = 1e-6) -> float:
-    """Returns 1/2 (m v.v + w I w) of all links, with velocities by central differences of DH
-    frames.
-    """
+    """Returns 1/2 (m v.v + w I w) of all links, with velocities by central differences."""
     before, after = links(split(q - step * qd)), links(split(q + step * qd))
     energy = 0.0
     for (mass, tensor, c0, R0), (_, _, c1, R1) in zip(before, after, strict=True):

@@ -114,7 +114,7 @@ def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
 
 
 @pytest.mark.parametrize(
-    ("target", "condition", "said"),
+    ("target", "condition", "expected"),
     [
         (
             "lwr.torques",
@@ -137,14 +137,14 @@ def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
         (
             "lwr.show_arrows",
             "udp.values0 > 1 or udp.values2 > 1",
-            "found 'or', expected the same number on both sides; found 2 values and 3 values",
+            "found 'or', expected equal sizes on both sides; found 2 values and 3 values",
         ),
     ],
 )
-def test_invalid_conditions_are_rejected(target: str, condition: str, said: str) -> None:
+def test_invalid_conditions_are_rejected(target: str, condition: str, expected: str) -> None:
     (problem,) = wire(scene_of({target: condition})).problems
     assert problem.key == f"routes.{target}"
-    assert said in problem.message
+    assert expected in problem.message
 
 
 def test_one_of_several_matrices_places_a_base() -> None:

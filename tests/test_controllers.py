@@ -189,7 +189,7 @@ def test_sensor_value_that_is_not_a_number_is_reported_with_its_joint(kind: str)
         if when:  # after the damping was designed
             control.torques(sensed, target, np.zeros(7))
         sensed.values[row, 4] = np.nan
-        reason = f"the controller gets a measured {what} of nan; expected a finite number"
+        reason = f"the controller received a {what} of nan; expected a finite number"
         told = {"reason": reason, "found": math.nan, "of": "", "expected": "a finite number"}
         with raises_with(SimulationError, time=0.0, joint="lwr/A4", **told):
             control.torques(sensed, target, np.zeros(7))
@@ -216,7 +216,7 @@ def test_user_controller_is_limited_and_monitored() -> None:
         SimulationError,
         time=2.5,
         joint="lwr/A3",
-        reason="the controller asks for nan Nm; expected a finite number",
+        reason="the controller requested nan Nm; expected a finite number",
         found=math.nan,
         of="Nm",
         expected="a finite number",

@@ -1,4 +1,4 @@
-"""Tables that `export` writes: a recording's packets in full precision."""
+"""Tables of `export`: packets of a recording in full precision."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_each_valid_packet_is_a_row_and_malformed_ones_are_counted(tmp_path: Pat
     assert exported == Exported(rows=2, malformed=1)
     lines = (tmp_path / "a.csv").read_text(encoding="utf-8").splitlines()
     assert lines[0] == ",".join(["time", *column_names(LAYOUT.events)])
-    # Matrices come column by column, but a column's name is that of the number itself.
+    # Packets have column-major matrices, but column names have row and column indices.
     numbers = ",".join(repr(float(i)) for i in range(16))
     assert lines[1].partition(",")[2] == f"0.1,nan,1.0,2.0,3.0,{numbers}"
     assert lines[2].partition(",")[2] == f"1e-300,-2.0,1.0,2.0,3.0,{numbers}"

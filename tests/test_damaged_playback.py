@@ -97,8 +97,8 @@ def test_send_reports_damage(
             assert re.fullmatch(f"note: {re.escape(str(path))}: {fault}", note), note
         path = damaged("all")
         assert run("send", scene, "--play", path) == 2
-    said = capsys.readouterr().err
-    assert f"sero-mj: {path}: none of the 40 packets of 'arm' can be read: the chunk at" in said
+    output = capsys.readouterr().err
+    assert f"sero-mj: {path}: none of the 40 packets of 'arm' can be read: the chunk at" in output
 
 
 def test_replay_source_without_readable_packets_cannot_be_opened(

@@ -15,9 +15,7 @@ SDF = PLUGINS / "two_links.sdf"
 
 
 def run(folder: Path, program: str, *arguments: str, code: int = 0) -> str:
-    """Returns the output of Python code, or of `sero-mj` if there is none, with a folder's
-    packages.
-    """
+    """Returns the output of Python code, or of `sero-mj` if it is empty, with these packages."""
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
     status, said = (
         run_program(program, folder, environment)
@@ -60,8 +58,8 @@ def test_imported_file_is_opened_by_its_suffix_and_used_in_scenes(sdf: Path) -> 
     assert "arm" in run(sdf, "", "check", "scene.toml")
     assert ": no errors" in run(sdf, "", "check", SDF.name)
     (sdf / "wrong.sdf").write_text("<robot name='x'/>")
-    said = run(sdf, "", "check", "wrong.sdf", code=2)
-    assert said.endswith("/wrong.sdf: is a URDF file; expected a file of the importer 'sdf'\n")
+    output = run(sdf, "", "check", "wrong.sdf", code=2)
+    assert output.endswith("/wrong.sdf: is a URDF file; expected a file of the importer 'sdf'\n")
 
 
 @pytest.mark.parametrize(
@@ -74,9 +72,9 @@ def test_imported_file_is_opened_by_its_suffix_and_used_in_scenes(sdf: Path) -> 
 )
 def test_unreadable_file_of_an_importer_plugin_is_named(sdf: Path, text: str, what: str) -> None:
     (sdf / "broken.sdf").write_text(text)
-    said = run(sdf, "", "check", "broken.sdf", code=2)
-    assert "broken.sdf: " in said and "Traceback" not in said
-    assert what in said or "cannot be read by Sdf" in said
+    output = run(sdf, "", "check", "broken.sdf", code=2)
+    assert "broken.sdf: " in output and "Traceback" not in output
+    assert what in output or "cannot be read by Sdf" in output
 
 
 def test_error_inside_an_importer_plugin_names_its_line(tmp_path: Path) -> None:
@@ -89,25 +87,25 @@ def test_error_inside_an_importer_plugin_names_its_line(tmp_path: Path) -> None:
     )
     write_package(tmp_path, "faulty", code, IMPORTERS, sdf="Sdf")
     (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
-    said = run(tmp_path, "", "check", SDF.name, code=2)
-    assert said.endswith(
+    output = run(tmp_path, "", "check", SDF.name, code=2)
+    assert output.endswith(
         "cannot be read by Sdf: ValueError: could not convert string to float: 'x' "
         f"({tmp_path}/faulty.py:5)\n"
     )
 
 
 def test_import_of_an_unconvertible_format_suggests_a_scene(sdf: Path) -> None:
-    said = run(sdf, "", "import", SDF.name, code=2)
-    assert f"{SDF.name}: found .sdf; expected .urdf, .xacro, .xml. " in said
-    assert f'model = "{SDF.name}" in [robots.NAME]' in said
-    said = run(sdf, "", "new", "mine", "--like", SDF.name, code=2)
-    assert f'model = "{SDF.name}" in a scene' in said and "sero-mj import" not in said
+    output = run(sdf, "", "import", SDF.name, code=2)
+    assert f"{SDF.name}: found .sdf; expected .urdf, .xacro, .xml. " in output
+    assert f'model = "{SDF.name}" in [robots.NAME]' in output
+    output = run(sdf, "", "new", "mine", "--like", SDF.name, code=2)
+    assert f'model = "{SDF.name}" in a scene' in output and "sero-mj import" not in output
 
 
 def test_file_format_is_named_without_its_importer_package(tmp_path: Path) -> None:
     (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
-    said = run(tmp_path, "", "check", SDF.name, code=2)
-    assert said.startswith(f"sero-mj: {SDF.name}: is an SDF file; expected a TOML file")
+    output = run(tmp_path, "", "check", SDF.name, code=2)
+    assert output.startswith(f"sero-mj: {SDF.name}: is an SDF file; expected a TOML file")
 
 
 @pytest.fixture
@@ -147,8 +145,8 @@ print(np.abs(moved - np.where(times > 0, 0.1 * (1 - (1 + 20*times) * np.exp(-20*
 """)  # fmt: skip
     assert float(printed) < 2e-3  # the closed-form oscillator; torques are held for one step
     (pd / "s.toml").write_text(SCENARIO.format(bandwidth=-1))
-    said = run(pd, "", "check", "s.toml", code=2)
-    assert "controllers.lwr.bandwidth: found -1; expected greater than 0" in said
+    output = run(pd, "", "check", "s.toml", code=2)
+    assert "controllers.lwr.bandwidth: found -1; expected greater than 0" in output
     assert 'kind = "pd"' in run(pd, "", "list", "--fields", "scenarios")
 
 
@@ -156,8 +154,8 @@ def test_controller_plugin_without_kind_is_reported(pd: Path) -> None:
     file = pd / "pd_controller.py"
     file.write_text(file.read_text().replace('    kind: Literal["pd"] = "pd"\n', ""))
     (pd / "s.toml").write_text(SCENARIO.format(bandwidth=20))
-    said = run(pd, "", "check", "s.toml", code=2)
-    assert 'TypeError: PD has no field kind: Literal["pd"] = "pd"' in said
+    output = run(pd, "", "check", "s.toml", code=2)
+    assert 'TypeError: PD has no field kind: Literal["pd"] = "pd"' in output
 
 
 def test_target_motion_plugin_is_followed_and_declared_like_ours(tmp_path: Path) -> None:
@@ -414,11 +412,11 @@ def test_command_that_cannot_be_added_is_reported_and_skipped(tmp_path: Path) ->
     code = "ORDER = 5\ndef add_to(commands):\n    raise ZeroDivisionError('a fault')\n"
     (tmp_path / "odd.py").write_text(code)
     register(tmp_path, "odd", COMMANDS, ["odd = odd"])
-    said = run(tmp_path, "", "--help")
-    assert "sero_mj.commands: 'odd' of odd 0.1 (odd) cannot be loaded: ZeroDivisionError" in said
-    assert "render" in said
-    said = run(tmp_path, "", "rendr", code=2)
-    assert "no command 'rendr'; did you mean 'render'?" in said and "Traceback" not in said
+    output = run(tmp_path, "", "--help")
+    assert "sero_mj.commands: 'odd' of odd 0.1 (odd) cannot be loaded: ZeroDivisionError" in output
+    assert "render" in output
+    output = run(tmp_path, "", "rendr", code=2)
+    assert "no command 'rendr'; did you mean 'render'?" in output and "Traceback" not in output
 
 
 def test_command_plugin_runs_and_is_in_the_help(tmp_path: Path) -> None:

@@ -56,7 +56,7 @@ def draw(
     return decor.draw(data, toggles or toggles_of(world), view or view_at(distance=3))
 
 
-def said(world: World) -> list[str]:
+def texts_of(world: World) -> list[str]:
     buffer = draw(world)
     return labels(buffer.rows[: buffer.count])
 
@@ -177,16 +177,16 @@ def test_double_can_declare_its_own_billboard_lines() -> None:
     q = np.deg2rad([10, 20, 30, 40, 50, 60, 70])
     own = goal(joint_angles=q, show_billboards=True, billboard_lines=lines)
     world = world_with(own, billboard_lines=["torques"])
-    assert said(world)[:7:6] == ["goal A1     10 deg", "goal A6     70 deg"]
+    assert texts_of(world)[:7:6] == ["goal A1     10 deg", "goal A6     70 deg"]
     # Without its own lines it shows those of its robot for which it has values.
     double = goal(torques=TORQUES, show_billboards=True)
     world = world_with(double, billboard_lines=["joint_angles", "torques"])
-    assert said(world)[:2] == ["goal A1  pos    -0.400 rad", "         msr    30.0 Nm"]
+    assert texts_of(world)[:2] == ["goal A1  pos    -0.400 rad", "         msr    30.0 Nm"]
     world = world_with(double, billboard_lines=["torques", "billboard_values"])
-    assert said(world)[:2] == ["goal A1    30.0 Nm", "goal A2   -60.0 Nm"]
+    assert texts_of(world)[:2] == ["goal A1    30.0 Nm", "goal A2   -60.0 Nm"]
     double = goal(torques=TORQUES, commanded_torques=TORQUES + 2, show_billboards=True)
     world = world_with(double, billboard_lines=["torque_error"])
-    assert said(world)[:2] == ["goal A1     2.00 Nm", "goal A2     2.00 Nm"]
+    assert texts_of(world)[:2] == ["goal A1     2.00 Nm", "goal A2     2.00 Nm"]
 
 
 def test_axes_are_at_the_links_and_flange_of_a_double() -> None:

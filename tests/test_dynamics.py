@@ -17,8 +17,7 @@ from newton_euler import inverse_dynamics
 from sero_mj.base import paths
 from sero_mj.base.errors import DeclarationError, Problem
 from sero_mj.cli import main
-from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, robot_dynamics
-from sero_mj.robots.assemble.unit_checks import about_units
+from sero_mj.robots.assemble.robot_dynamics import about_large_inertias, about_units, robot_dynamics
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.dynamics import Dynamics, balanced_tensor, inertia_problem
 from sero_mj.robots.declared.robot import SerialRobot, build_robot
@@ -237,7 +236,9 @@ def test_mesh_that_mujoco_rejects_is_named(tmp_path):
     sheet[3] = [0.4, 0.3, 0]
     (tmp_path / "flat.stl").write_bytes(stl(sheet[FACES]))
     plate = Object(name="plate", mesh="flat.stl", mass=1.0, directory=str(tmp_path))
-    with pytest.raises(DeclarationError, match=r"^objects.plate.mesh: .*flat.stl is not a mesh"):
+    with pytest.raises(
+        DeclarationError, match=r"^objects.plate.mesh: MuJoCo cannot read the mesh .*flat.stl"
+    ):
         World(Scene(objects=[plate]))
 
 
@@ -442,7 +443,7 @@ def test_check_reports_estimated_values(tmp_path, capsys):
     assert [line for line in told if line.startswith(("mass", "dynamics"))] == [
         "mass: 15.95 kg, as declared",
         "dynamics: as declared",
-        "mass: 0.005474 kg, estimated: none are declared, its shapes count with 840 kg/m3",
+        "mass: 0.005474 kg, estimated from the link shapes at 840 kg/m3 (no mass is declared)",
         "dynamics: estimated motor_inertias, viscous_friction, joint_stiffness, joint_damping",
     ]
 
@@ -510,10 +511,10 @@ def test_repair_reports_its_changes_and_the_robot_can_be_simulated() -> None:
     rows = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(dh_convention="craig", dh_params=rows, dynamics=table)
-    told = str(caught.value)
-    assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in told
-    assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in told
-    assert told.count('inertia_repair = "balance" changes it to a similar one') == 2
+    message = str(caught.value)
+    assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in message
+    assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in message
+    assert message.count('inertia_repair = "balance" changes it to a similar one') == 2
     robot = SerialRobot(
         dh_convention="craig", dh_params=rows, dynamics={**table, "inertia_repair": "balance"}
     )
@@ -535,8 +536,8 @@ def test_inertia_too_large_for_its_link_is_reported() -> None:
     assert hull is not None
     reach = np.linalg.norm(hull - declared.centers[3], axis=1).max()
     assert told == (
-        "link 3: its inertia has a radius of gyration of 0.5 m; its geometry reaches "
-        f"{reach:.2g} m from its centre of mass"
+        "link 3: its inertia has a radius of gyration of 0.5 m, but its geometry "
+        f"reaches only {reach:.2g} m from its center of mass"
     )
 
 

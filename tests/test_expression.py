@@ -268,7 +268,7 @@ def test_infinity_minus_infinity_raises_no_warning() -> None:
         ("udp.values0[0;2]", "character 14: found ';', expected : , or ]"),
         ("udp.values0[0,x]", "character 15: found 'x', expected a whole number"),
         ("udp.values0[0][0]", "character 15: found '[', udp.values0[0] is a single number"),
-        ("udp.values0 + [1, 2]", "character 13: found '+', expected the same number on both "
+        ("udp.values0 + [1, 2]", "character 13: found '+', expected equal sizes on both "
          "sides; found 4 values and 2 values"),
         ("udp.values0 - udp.vectors0", "found 4 values and 2 x 3 values"),
         ("udp.values0 * my-udp.values0", "character 13: found '*', expected a constant on one "

@@ -247,20 +247,22 @@ def test_library_gets_the_first_step_and_the_gravity_flag(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("function", "said"),
+    ("function", "expected"),
     [
         ("crash", r"law.so: crash has ended its process: SIGSEGV"),
         ("hang", "hang did not return within 0.5 s"),
     ],
 )
-def test_errors_of_an_isolated_library_are_reported(folder: Path, function: str, said: str) -> None:
+def test_errors_of_an_isolated_library_are_reported(
+    folder: Path, function: str, expected: str
+) -> None:
     settings = {"function": function, "isolated": True, "patience": 0.5}
-    with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{said}"):
+    with pytest.raises(SimulationError, match=rf"lwr at 0.051\d* s: .*{expected}"):
         signals(simulation(folder, LIBRARY, **settings))
 
 
 @pytest.mark.parametrize(
-    ("constructor", "said"),
+    ("constructor", "expected"),
     [
         ("*(volatile int *)0 = 1", "SIGSEGV; Fatal Python error: Segmentation fault"),
         ("exit(0)", "exit status 0; constructor"),
@@ -269,7 +271,7 @@ def test_errors_of_an_isolated_library_are_reported(folder: Path, function: str,
     ],
 )
 def test_constructor_of_a_library_ends_only_its_own_process(
-    tmp_path: Path, constructor: str, said: str
+    tmp_path: Path, constructor: str, expected: str
 ) -> None:
     begin = 'fprintf(stderr, "constructor in %d\\n", getpid());'
     boot = f"static void __attribute__((constructor)) boot(void) {{ {begin} {constructor}; }}"
@@ -282,7 +284,7 @@ def test_constructor_of_a_library_ends_only_its_own_process(
         simulation(tmp_path, LIBRARY, **settings)
     (problem,) = caught.value.problems
     assert problem.key == "controllers.lwr.file"
-    assert "law.so" in problem.message and said in problem.message
+    assert "law.so" in problem.message and expected in problem.message
 
 
 def test_simulate_fails_if_an_isolated_library_exits(tmp_path: Path, capsys: Any) -> None:
@@ -339,7 +341,7 @@ def test_library_that_crashes_in_this_process_is_named(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("settings", "key", "said"),
+    ("settings", "key", "expected"),
     [
         ({"file": "none.so"}, "file", "no file"),
         ({"file": "peer.py"}, "file", "cannot be loaded"),
@@ -348,17 +350,17 @@ def test_library_that_crashes_in_this_process_is_named(folder: Path) -> None:
     ],
 )
 def test_library_that_cannot_be_loaded_is_reported(
-    folder: Path, settings: dict[str, Any], key: str, said: str
+    folder: Path, settings: dict[str, Any], key: str, expected: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         simulation(folder, LIBRARY, **settings)
     (problem,) = caught.value.problems
     assert problem.key == f"controllers.lwr.{key}"
-    assert said in problem.message
+    assert expected in problem.message
 
 
 @pytest.mark.parametrize(
-    ("mode", "said"),
+    ("mode", "expected"),
     [
         ("never", r"no answer from .*python.* to step 1 within 0.3 s"),
         ("silent", r"no answer from .* to step 50 within 0.2 s"),
@@ -366,9 +368,9 @@ def test_library_that_cannot_be_loaded_is_reported(
         ("crashes", "was ended by SIGABRT"),
     ],
 )
-def test_program_that_does_not_answer_ends_the_run(folder: Path, mode: str, said: str) -> None:
+def test_program_that_does_not_answer_ends_the_run(folder: Path, mode: str, expected: str) -> None:
     settings = {"first_patience": 0.3 if mode == "never" else 10.0, "patience": 0.2}
-    with pytest.raises(SimulationError, match=said):
+    with pytest.raises(SimulationError, match=expected):
         signals(simulation(folder, program(mode), **settings))
 
 
@@ -471,7 +473,7 @@ def test_run_continues_without_answers_if_declared(
 
 
 @pytest.mark.parametrize(
-    ("mode", "said"),
+    ("mode", "expected"),
     [
         ("never", r"no answer from .*python.* to step 1 within 0.3 s"),
         ("dies", r"exit status 3; its last output: the joint is too hot"),
@@ -479,10 +481,10 @@ def test_run_continues_without_answers_if_declared(
     ],
 )
 def test_errors_of_programs_over_shared_memory_are_reported(
-    folder: Path, mode: str, said: str
+    folder: Path, mode: str, expected: str
 ) -> None:
     settings = {"first_patience": 10.0 if mode == "dies" else 0.3}
-    with pytest.raises(SimulationError, match=said):
+    with pytest.raises(SimulationError, match=expected):
         signals(simulation(folder, by_memory(mode), **settings))
     pid = int((folder / "pid").read_text())
     assert until(lambda: not is_running(pid))
@@ -731,7 +733,7 @@ def test_program_can_command_angles_to_joint_springs(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("controller", "key", "said"),
+    ("controller", "key", "expected"),
     [
         ('kind = "udp"', "port", "is required"),
         ('kind = "udp"\nport = 9\nstate = "1I"', "state", "values0"),
@@ -750,12 +752,12 @@ def test_program_can_command_angles_to_joint_springs(folder: Path) -> None:
     ],
 )
 def test_invalid_declarations_name_their_key(
-    tmp_path: Path, controller: str, key: str, said: str
+    tmp_path: Path, controller: str, key: str, expected: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
         simulation(tmp_path, controller)
     assert [problem.key for problem in caught.value.problems] == [f"controllers.lwr.{key}"]
-    assert said in caught.value.problems[0].message
+    assert expected in caught.value.problems[0].message
 
 
 def test_states_contain_the_terms_for_computed_torque_control() -> None:

@@ -41,7 +41,7 @@ GEN3_URDF = [
 ]
 
 
-def said(rows: object, types: list[str], **fields: object) -> str:
+def expected_of(rows: object, types: list[str], **fields: object) -> str:
     with pytest.raises(DeclarationError) as caught:
         SerialRobot(dh_params=rows, joint_types=types, **fields)
     (problem,) = caught.value.problems
@@ -57,7 +57,7 @@ def declared_in(text: str) -> dict[str, object]:
 
 def test_error_for_a_fixed_first_row_contains_the_base_frame() -> None:
     types = ["revolute"] * 7
-    base = declared_in(said(GEN3, ["fixed", *types], dh_convention="standard"))
+    base = declared_in(expected_of(GEN3, ["fixed", *types], dh_convention="standard"))
     robot = SerialRobot(dh_params=GEN3[1:], joint_types=types, dh_convention="standard", **base)  # type: ignore[arg-type]
     flange = robot.fwd_kin_base_to_flange(np.zeros(7))
     assert flange[:3, 3] == pytest.approx([0.0, -0.0246, 1.1873], abs=1e-6)
@@ -81,7 +81,7 @@ def test_table_in_degrees_is_a_robot_in_a_file_of_any_name(tmp_path: Path) -> No
 def test_error_for_fixed_last_rows_contains_the_flange_frame() -> None:
     rows = [[0, 0, 0, 300], [1.5, 200, 0, 0], [0, 100, 1.0, 50]]
     types = ["revolute", "revolute", "fixed"]
-    text = said(rows, types, dh_convention="craig", length_unit="mm")
+    text = expected_of(rows, types, dh_convention="craig", length_unit="mm")
     assert text.startswith("'revolute' or 'prismatic'; remove this row and set flange_frame = ")
     flange = declared_in(text)["flange_frame"]
     assert flange == {"xyz": [0.1, 0, 0.05], "rpy_deg": [0, 0, pytest.approx(57.2958)]}
@@ -89,5 +89,5 @@ def test_error_for_fixed_last_rows_contains_the_flange_frame() -> None:
 
 def test_error_for_a_fixed_row_in_between_names_joint_frames() -> None:
     types = ["revolute", "fixed", "revolute"]
-    text = said(np.zeros((3, 4)), types, dh_convention="craig")
+    text = expected_of(np.zeros((3, 4)), types, dh_convention="craig")
     assert "declare the robot by joint_frames" in text

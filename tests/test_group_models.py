@@ -79,7 +79,7 @@ def loaded(folder: Path, text: str, overrides: dict[str, Any] | None = None) -> 
     return load_scene(folder / "scene.toml", overrides)
 
 
-def told(folder: Path, text: str) -> list[Problem]:
+def scene_problems(folder: Path, text: str) -> list[Problem]:
     with pytest.raises(DeclarationError) as caught:
         loaded(folder, text)
     return [
@@ -187,7 +187,7 @@ def test_errors_in_a_group_model_name_its_file_and_line(folder: Path) -> None:
     changed(folder, "hand/group.toml", "size = [0.02, 0.08, 0.1]", "size = [0.02, 0.08]")
     changed(folder, "hand/group.toml", "axes_size = 0.03", "axes_size = -1.0\naxes_sise = 0.03")
     changed(folder, "hand/group.toml", '["thumb", "nail"]', '["thumb", "nails"]')
-    assert told(folder, '[groups.h]\nmodel = "hand"\n') == [
+    assert scene_problems(folder, '[groups.h]\nmodel = "hand"\n') == [
         Problem("axes_size", found=-1.0, expected="greater than 0", file="hand/group.toml", line=3),
         Problem(
             "axes_sise", "unknown key; did you mean 'axes_size'?", file="hand/group.toml", line=4
@@ -247,7 +247,7 @@ model = "lwr"
 [groups.m]
 model = "hand"
 """
-    assert told(folder, text) == [
+    assert scene_problems(folder, text) == [
         Problem(
             "groups.h.mount",
             "no frame",
@@ -330,7 +330,7 @@ def test_group_model_that_contains_itself_is_rejected(folder: Path) -> None:
     changed(
         folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
     )
-    (problem, *_) = told(folder, '[groups.b]\nmodel = "body"\n')
+    (problem, *_) = scene_problems(folder, '[groups.b]\nmodel = "body"\n')
     circle = "models of groups are in each other in a circle: body in hand in body"
     assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=6)
 
@@ -353,7 +353,7 @@ def test_values_set_for_group_members_are_reported_by_their_names(folder: Path) 
 
 
 def test_single_invalid_group_is_the_only_error(folder: Path) -> None:
-    assert told(folder, '[groups.h]\nmodel = "hnd"\n') == [
+    assert scene_problems(folder, '[groups.h]\nmodel = "hnd"\n') == [
         Problem(
             "groups.h.model",
             "no model of a group 'hnd'; did you mean 'hand'?",
@@ -385,7 +385,7 @@ def test_fk_and_check_list_the_robots_of_a_group(
 def test_objects_of_a_group_model_need_a_base_robot(folder: Path) -> None:
     (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
     reason = "no robot to carry it that is neither mounted on another nor mirrored"
-    problem = told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    problem = scene_problems(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("objects.palm", reason, file="hand/group.toml", line=1)
 
 
@@ -393,5 +393,5 @@ def test_group_model_that_contains_itself_through_a_link_is_rejected(folder: Pat
     (folder / "hand/again").symlink_to(folder / "hand")
     changed(folder, "hand/group.toml", "[objects", '[groups.x]\nmodel = "again"\n[objects')
     circle = "models of groups are in each other in a circle: hand in hand"
-    problem = told(folder, '[groups.h]\nmodel = "hand"\n')[0]
+    problem = scene_problems(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=23)

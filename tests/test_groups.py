@@ -75,7 +75,7 @@ def angles(world: World, data: Any) -> dict[str, list[float]]:
     return {name: data.qpos[part.qpos].tolist() for name, part in world.robots.items()}
 
 
-def told(scene: Scene) -> list[str]:
+def route_problems(scene: Scene) -> list[str]:
     return [str(problem) for problem in wire(scene).problems]
 
 
@@ -102,7 +102,7 @@ def test_coupled_joints_can_be_omitted_from_the_packet_of_a_group() -> None:
 
 def test_wrong_size_is_reported_with_the_count_of_every_robot() -> None:
     scene = justin({"justin.joint_angles": "udp.values0[0:8]", "justin.torques": "udp.values1"})
-    assert told(scene) == [
+    assert route_problems(scene) == [
         "routes.justin.joint_angles: udp.values0[0:8] has 8 values; justin.joint_angles takes 9: "
         "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
     ]
@@ -110,7 +110,7 @@ def test_wrong_size_is_reported_with_the_count_of_every_robot() -> None:
 
 def test_mistyped_inputs_and_groups_are_reported_by_the_declared_key() -> None:
     scene = justin({"justin.torqes": "udp.values0", "justn.torques": "udp.values0"})
-    assert told(scene) == [
+    assert route_problems(scene) == [
         "routes.justin.torqes: no input 'torqes' of justin; did you mean 'torques'?",
         "routes.justn.torques: no robot 'justn'; did you mean 'justin'?",
     ]
@@ -118,7 +118,7 @@ def test_mistyped_inputs_and_groups_are_reported_by_the_declared_key() -> None:
 
 def test_two_routes_to_one_input_are_rejected() -> None:
     scene = justin({"justin.torques": "udp.values0", "left.torques": "udp.values1[0:3]"})
-    assert told(scene) == [
+    assert route_problems(scene) == [
         "routes.left.torques: left.torques already has the route justin.torques. Remove one of them"
     ]
 
@@ -130,7 +130,7 @@ def test_input_that_not_all_robots_have_is_rejected() -> None:
         sources={"udp": {"kind": "udp", "port": 0, "structure": "6F"}},
         routes={"arms.currents": "udp.values0"},
     )  # fmt: skip
-    assert told(scene) == [
+    assert route_problems(scene) == [
         "routes.arms.currents: 'currents' is an input of left, but not of right; expected it in "
         "all of arms"
     ]
@@ -412,12 +412,12 @@ def test_groups_and_doubles_accept_poses_in_degrees(tmp_path: Path) -> None:
     types = '[robots.b]\njoint_types = ["revolute", "revolute", "prismatic"]'
     sliding = POSED.replace("[robots.b]", types)
     path.write_text(goal + sliding.replace("joint_angles = [0.1", "joint_angles_deg = [0.1"))
-    told = [each for each in problems_in(path) if "joint_angles_deg" in each]
-    assert len(told) == 2
-    assert told[0].startswith(
+    problems = [each for each in problems_in(path) if "joint_angles_deg" in each]
+    assert len(problems) == 2
+    assert problems[0].startswith(
         "3: doubles.goal.joint_angles_deg: is for revolute joints only, but b"
     )
-    assert ": groups.pair.joint_angles_deg: is for revolute joints only, but b" in told[1]
+    assert ": groups.pair.joint_angles_deg: is for revolute joints only, but b" in problems[1]
     with raises_with(reason="found both joint_angles and joint_angles_deg; expected one"):
         Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
 
@@ -425,7 +425,7 @@ def test_groups_and_doubles_accept_poses_in_degrees(tmp_path: Path) -> None:
 def test_wrong_values_of_a_group_are_reported_once(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def told_of(setting: str) -> list[str]:
+    def printed_problems(setting: str) -> list[str]:
         path = tmp_path / "posed.toml"
         path.write_text(POSED)
         command = ["render", str(path), "-o", str(tmp_path / "x.png"), "--set", setting]
@@ -434,14 +434,16 @@ def test_wrong_values_of_a_group_are_reported_once(
         return capsys.readouterr().err.removeprefix("sero-mj: ").splitlines()
 
     expected = "expected 10: b 3, a 7, or 9 without the coupled joints"
-    assert told_of("pair.joint_angles=1,2") == [
+    assert printed_problems("pair.joint_angles=1,2") == [
         f"--set pair.joint_angles: found 2 joints; {expected}"
     ]
-    assert told_of("pair.show_axs=true") == [
+    assert printed_problems("pair.show_axs=true") == [
         "--set pair.show_axs: no robot has this; did you mean 'show_axes'?"
     ]
-    assert told_of("pair.show_axes=3") == ["--set pair.show_axes: found 3; expected true or false"]
-    assert told_of("piar.show_axes=true") == [
+    assert printed_problems("pair.show_axes=3") == [
+        "--set pair.show_axes: found 3; expected true or false"
+    ]
+    assert printed_problems("piar.show_axes=true") == [
         "--set piar.show_axes: no robot 'piar' to set this for; did you mean 'pair'?"
     ]
     scene = POSED.replace("[0.1, 0.2, 1,", "[0.1, 0.2, 0.5, 1,").replace("9, 10]", "9]")

@@ -261,10 +261,12 @@ def test_expressions_of_thousands_of_terms_are_rejected() -> None:
     with pytest.raises(RouteError) as found:
         parse(text)
     assert time.process_time() - begin < 2.0
-    said = str(found.value)
-    assert "expected at most 2000 before the end; found 39999 numbers, names and signs" in said
-    assert "character 14001: found 'udp.values0'" in said or "character 14001: found '+'" in said
-    assert len(said) < 500
+    message = str(found.value)
+    assert "expected at most 2000 before the end; found 39999 numbers, names and signs" in message
+    assert (
+        "character 14001: found 'udp.values0'" in message or "character 14001: found '+'" in message
+    )
+    assert len(message) < 500
     assert parse(" + ".join(["udp.values0"] * 900))
 
 

@@ -101,8 +101,9 @@ def test_any_text_is_a_structure_or_an_error_with_a_position(text: str) -> None:
 
 
 def without_blanks(packet: bytes) -> bytes:
-    """Returns the packet with finite numbers in place of NaN where NaN means "no data": the frame,
-    which a flange check shows, and the vector, which is not routed.
+    """Returns the packet with finite values where NaN means "no data".
+
+    These are the frame, which a flange check shows, and the vector, which is not routed.
     """
     if len(packet) != FORMAT.size:
         return packet

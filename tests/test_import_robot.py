@@ -219,8 +219,8 @@ def test_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
     write(folder / "source", inner, "legs.xml")
     write(folder / "source", '<mujoco><include file="legs.xml"/></mujoco>', "scene.xml")
     assert run("import", "source/scene.xml", "--out", "legs", "--convention", "craig") == 0
-    said = capsys.readouterr().out
-    assert "so there is no craig DH table" in said and "legs/robot.toml: 7 joints" in said
+    output = capsys.readouterr().out
+    assert "so there is no craig DH table" in output and "legs/robot.toml: 7 joints" in output
     worlds = [World(load_scene(name), dynamic=True) for name in ("legs", "source/scene.xml")]
     one, other = (next(iter(world.robots.values())).robot for world in worlds)
     shutil.rmtree(folder / "source")
@@ -303,7 +303,7 @@ def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
     with pytest.raises(DeclarationError, match=re.escape("legs.xml: arguments.a: is for xacro")):
         wrong = '[robots.x]\nmodel = "legs.xml"\narguments = { a = 1 }'
         load_scene(write(folder, wrong, "wrong.toml"))
-    for wrong, told in (
+    for wrong, expected in (
         (
             'model = "lwr"\narguments = { a = 1 }',
             {"reason": "are for xacro; robot.toml has none"},
@@ -313,16 +313,16 @@ def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
             {"found": [1], "expected": "texts and numbers by name"},
         ),
     ):
-        with raises_with(key="robots.x.arguments", **told):
+        with raises_with(key="robots.x.arguments", **expected):
             load_scene(write(folder, f"[robots.x]\n{wrong}", "wrong.toml"))
     # Last, because an option applies to everything read after it.
     assert run("check", "ur.urdf.xacro", "--arg", "ur_type=ur10e") == 0
     assert "reach 0.6 m" in capsys.readouterr().out
     for file in ("tree.urdf", "ur.urdf.xacro"):
         assert run("check", file, "--arg", "fats=true") == 2
-    told = capsys.readouterr().err
-    assert "arguments.fats: is for xacro; this file is plain URDF" in told
-    assert "arguments.fats: xacro has no argument 'fats'; did you mean 'fast'?" in told
+    output = capsys.readouterr().err
+    assert "arguments.fats: is for xacro; this file is plain URDF" in output
+    assert "arguments.fats: xacro has no argument 'fats'; did you mean 'fast'?" in output
 
 
 @pytest.mark.gl

@@ -78,7 +78,9 @@ def test_carrier_holds_the_robots_mounted_on_it() -> None:
 
 def test_floating_robot_has_no_gravity_torques() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
-    with raises_with(key="robots.lwr", reason="has a free base: it holds nothing"):
+    with raises_with(
+        key="robots.lwr", reason="has a free base, and cannot hold itself against gravity"
+    ):
         GravityTorques({"lwr": robot})
 
 

@@ -307,7 +307,7 @@ def test_invalid_torque_stops_with_robot_joint_and_time(
     with pytest.raises(SimulationError) as caught:
         control.torques(sensed, Target(2), np.zeros(2))
     assert (caught.value.joint, caught.value.time) == (f"lwr/{joint}", 1.2345)
-    expected = f"the controller asks for {found} Nm; expected a finite number"
+    expected = f"the controller requested {found} Nm; expected a finite number"
     assert str(caught.value) == f"lwr/{joint} at 1.2345 s: {expected}"
 
 

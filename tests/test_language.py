@@ -1,4 +1,4 @@
-"""The structure language: against Python's `struct`, with names, orders, checks and alignment."""
+"""The structure language with names, byte orders, checks and alignment, compared with `struct`."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ EVENTS = {"F": "values", "V": "vectors", "M": "matrices", "T": "matrices"}
 
 @dataclass
 class Wanted:
-    """An item as a test wants it, written down by the test itself."""
+    """An item of a generated structure."""
 
     count: int
     kind: str  # F, V, M, T, or x
     type: str  # a letter; empty for the default
-    order: str  # < or >, empty to leave it
+    order: str  # < or >; empty for no change
     name: str
-    check: str  # what stands behind =, or empty
+    check: str  # text after =, or empty
     gap: str
 
     def text(self) -> str:
@@ -46,7 +46,7 @@ class Wanted:
 
 @st.composite
 def wanted_items(draw: st.DrawFn) -> list[Wanted]:
-    items = [Wanted(1, "F", "", "", "", "", "")]  # something always makes an event
+    items = [Wanted(1, "F", "", "", "", "", "")]  # at least one item creates an event
     for i in range(draw(st.integers(0, 6))):
         kind = draw(st.sampled_from("FFFVMTx"))
         type_ = "" if kind == "x" else draw(st.sampled_from(["", *LETTERS]))
@@ -71,7 +71,7 @@ def test_offsets_equal_those_of_struct(
     at, order, numbered = 0, "<", dict.fromkeys(EVENTS.values(), 0)
     events: dict[str, tuple[int, ...]] = {}
     for item, field in zip(wanted, structure.fields, strict=True):
-        while at % alignment:  # slowly, byte by byte
+        while at % alignment:  # a simple reference implementation
             at += 1
         order = {"": order, "!": ">"}.get(item.order, item.order)
         letter = "s" if item.kind == "x" else item.type or ("d" if is_double else "f")
@@ -166,7 +166,9 @@ def test_alignment_padding_counts_toward_the_size_limit() -> None:
     text = " ".join(["1B"] * 8190)
     assert Structure(text, alignment=4).size == 8189 * 4 + 1
     reason = "the packet would be too long; expected at most 65507 bytes"
-    with raises_with(StructureError, position=3 * 8189, reason=reason):  # it would begin at 65512
+    with raises_with(
+        StructureError, position=3 * 8189, reason=reason
+    ):  # the item would begin at 65512
         Structure(text, alignment=8)
 
 

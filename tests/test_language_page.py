@@ -1,4 +1,4 @@
-"""STRUCTURE.md: every example runs, and what its grammar makes is read."""
+"""STRUCTURE.md: its examples run, and strings from its grammar are parsed."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def test_other_documented_commands_are_parsed() -> None:
 
 
 class Grammar:
-    """Makes strings by the rules of the page's grammar, whatever they are."""
+    """Generates strings by the rules of the grammar in the page."""
 
     def __init__(self, text: str, seed: int) -> None:
         self.rules = {
@@ -95,7 +95,7 @@ class Grammar:
         tokens = list(self.rules[rule])
         made = self.alternatives(tokens)
         assert not tokens
-        return f" {made} " if rule == "item" else made  # as the page has it beside names, checks
+        return f" {made} " if rule == "item" else made  # required by the rules on names and checks
 
     def alternatives(self, tokens: list[str]) -> str:
         found = [self.sequence(tokens)]
@@ -130,12 +130,12 @@ class Grammar:
         return self.make(token)
 
 
-# What the page says in words, beside the grammar.
-BESIDE = (
-    "a meaning of its own", "a space or a comma before a name", "two items have the name",
+# Errors by the rules that are not in the grammar.
+OTHER_RULES = (
+    "is reserved", "a space or a comma before a name", "two items have the name",
     "a count of 1 or more", "would be too long", "a matrix cannot be checked", "a number from",
-    "a whole number for this type", "something that makes an event", "type that holds this number",
-    "one unsigned number", "the checksum would be of",
+    "a whole number for this type", "an item that creates an event", "a type with this range",
+    "one unsigned number", "the checksum covers",
 )  # fmt: skip
 
 
@@ -148,7 +148,7 @@ def test_strings_from_the_grammar_are_parsed() -> None:
         try:
             parse(text)
         except StructureError as error:
-            assert any(reason in error.reason for reason in BESIDE), (text, str(error))
+            assert any(reason in error.reason for reason in OTHER_RULES), (text, str(error))
         else:
             read += 1
     assert read > 300

@@ -32,6 +32,7 @@ ORDER = (
     "data.send",
     "simulate.control",
     "simulate.runs",
+    "simulate.external_control",
     "simulate",
     "load",
     "viewer.decor",
@@ -104,9 +105,7 @@ def packages(modules: tuple[str, ...]) -> set[str]:
 
 
 def imports_of(module: str, modules: dict[str, str]) -> list[tuple[int, str]]:
-    """Returns line and module of every import: ours as `.name` below `sero_mj`, others by full
-    name.
-    """
+    """Returns line and module of every import: ours as `.name`, others by full name."""
     return resolved(module, modules[module], tuple(modules))
 
 

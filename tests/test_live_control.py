@@ -244,13 +244,13 @@ def test_simulation_restarts_after_an_error() -> None:
     played = Played("joint")
     played.lwr.change({"damping": np.array([0.5])}, str)
     played.source._error = SimulationError(0.1, "lwr/A2", "it runs away")
-    said: list[str] = []
-    panel = SteeringPanel(played.steering, said.append)
+    messages: list[str] = []
+    panel = SteeringPanel(played.steering, messages.append)
     ui = ScriptedWidgets()
     panel.build(ui)
     assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
     panel.build(ScriptedWidgets({"restart": True}))
-    assert said == ["from the declared pose"]
+    assert messages == ["from the declared pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
     assert played.lwr.control == "joint_impedance"
@@ -289,8 +289,8 @@ def test_two_robots_have_separate_targets() -> None:
 
 def test_panel_changes_controllers_and_gains_and_reports() -> None:
     played = Played("joint")
-    said: list[str] = []
-    panel = SteeringPanel(played.steering, said.append)
+    messages: list[str] = []
+    panel = SteeringPanel(played.steering, messages.append)
     first = played.lwr.controllers["joint_impedance"].stiffness.copy()
     panel.build(ScriptedWidgets({"stiffness": 50.0, "damping": 1.0}))
     gains = played.lwr.controllers["joint_impedance"]
@@ -304,8 +304,8 @@ def test_panel_changes_controllers_and_gains_and_reports() -> None:
     assert text.startswith("refused: found 9000")
     assert "largest stable value" in text
     panel.build(ScriptedWidgets({"##control": "Cartesian impedance"}))
-    assert said == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
-    for label, value in (("stiffness", 800.0), ("of turning", 40.0), ("null space", 25.0)):
+    assert messages == ["lwr: Cartesian impedance"] and played.lwr.control == "cartesian_impedance"
+    for label, value in (("stiffness", 800.0), ("rotational", 40.0), ("null space", 25.0)):
         panel.build(ScriptedWidgets({label: value}))
     gains = played.lwr.controllers["cartesian_impedance"]
     assert np.diagonal(gains.stiffness).tolist() == [800.0] * 3 + [40.0] * 3

@@ -190,8 +190,8 @@ def test_scene_without_joints_exports_without_a_keyframe(tmp_path):
             "justin",
             114.84,
             [
-                "justin_torso: 54.22 kg, estimated: none are declared, its shapes count with 400 "
-                "kg/m3",
+                "justin_torso: 54.22 kg, estimated from the link shapes at 400 kg/m3 "
+                "(no mass is declared)",
                 "justin_left_arm: 15.95 kg, as declared",
             ],
         ),

@@ -1,4 +1,4 @@
-"""`Mirror`: a world follows its sources, keeps the last good pose, and says what arrived."""
+"""`Mirror`: a world follows its sources, retains the last valid pose, and counts packets."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 SCENES = Path(__file__).parent.parent / "scenes"
 TILTED = {"xyz": [0.3, -0.2, 0.5], "rpy": [0.4, -0.3, 1.1]}
 
-# A robot in a process of its own, with an encoder that is not ours: one packet of doubles.
+# A separate process with its own encoder, which sends one packet of doubles.
 ROBOT = """
 import socket, struct, sys
 values = [float(word) for word in sys.argv[2:]]
@@ -59,7 +59,7 @@ def arm(name: str = "arm", convention: str = "craig") -> SerialRobot:
 
 
 def mirror_of(*robots: SerialRobot) -> Mirror:
-    """One source feeds angles and torques to all of them alike."""
+    """Returns a mirror in which one source sets angles and torques of all robots."""
     routes = {f"{robot.name}.joint_angles": "udp.values0" for robot in robots}
     routes |= {f"{robot.name}.torques": "udp.values1" for robot in robots}
     source = {"kind": "udp", "structure": "3F3F"}
@@ -75,7 +75,7 @@ def frame_of(mirror: Mirror, name: str) -> Array:
 
 
 def largest_difference(mirror: Mirror, robot: SerialRobot, q: Array) -> float:
-    """Between the frames of the model and those of the DH table, which knows no MuJoCo."""
+    """Returns the difference of the model's frames from those computed by the DH table."""
     expected = robot.dh.frames(q, robot.base_frame)
     names = ["base", *(f"link{i + 1}" for i in range(robot.n))]
     found = np.array([frame_of(mirror, f"{robot.name}/{name}") for name in names])
@@ -239,7 +239,7 @@ def test_closed_mirror_removes_its_callbacks_from_sources() -> None:
                     sender.sendto(packet, ("127.0.0.1", source.port))
                 assert mirror.wait_next(5.0)
             assert len(source._callbacks) == 1
-            source.accept([struct.pack("<6d", *range(6))])  # kept for nobody
+            source.accept([struct.pack("<6d", *range(6))])  # without a listener
             assert source.take_history() is None
     assert len(own) == 12
 
@@ -247,7 +247,7 @@ def test_closed_mirror_removes_its_callbacks_from_sources() -> None:
 def test_packets_dropped_by_the_kernel_are_in_userdata() -> None:
     mirror = mirror_of(arm())
     source: Any = mirror.sources["udp"]
-    source.counters.dropped = 5  # without a flood, test_udp makes one
+    source.counters.dropped = 5  # test_udp tests real drops
     mirror.advance()
     found = counted(mirror)
     assert found.pop("link_age") == pytest.approx(0.0, abs=1.0)
@@ -290,7 +290,7 @@ def test_reopened_mirror_follows_from_the_first_packet(sender: Send) -> None:
             assert mirror.wait(5.0) == []
             assert mirror.advance()
             assert mirror.data.qpos[0] == angle
-    mirror.close()  # once more is harmless
+    mirror.close()  # has no effect
 
 
 def test_restored_state_has_identical_frames_and_userdata(sender: Send) -> None:
@@ -311,7 +311,7 @@ def test_restored_state_has_identical_frames_and_userdata(sender: Send) -> None:
             assert data.time == moment
             for field, value in kept.items():
                 assert getattr(data, field).tobytes() == value.tobytes(), field
-        # A state is a copy: what comes later does not change it.
+        # A state is a copy, which later packets do not change.
         assert mirror.state().tobytes() == state.tobytes()
         assert mirror.state() is not state
 
@@ -335,7 +335,7 @@ def test_failure_to_open_a_source_closes_the_others() -> None:
         with raises_with(SourceError, source="second", reason=reason):
             mirror.open()
         assert not [t.name for t in threading.enumerate() if t.name == "udp first"]
-        assert port_of(mirror, "first") == 0  # no socket, hence no port
+        assert port_of(mirror, "first") == 0  # no socket, so no port
 
 
 def test_wait_returns_silent_sources_within_the_timeout(sender: Send) -> None:
@@ -346,7 +346,7 @@ def test_wait_returns_silent_sources_within_the_timeout(sender: Send) -> None:
         assert until(lambda: mirror.sources["udp"].latest() is not None)
         start = time.monotonic()
         assert mirror.wait(0.1) == ["mute", "dumb"]
-        # The time is for all of them together.
+        # The timeout applies to all sources together.
         assert 0.1 <= time.monotonic() - start < 0.19
 
 
@@ -366,19 +366,19 @@ def test_memory_does_not_grow(sender: Send) -> None:
         tracemalloc.start()
         try:
             run(100)
-            gc.collect()  # also lets go of the tuples that Python keeps for the next ones
+            gc.collect()  # also frees the tuples that Python caches
             before, _ = tracemalloc.get_traced_memory()
             run(1500)
             gc.collect()
             after, _ = tracemalloc.get_traced_memory()
         finally:
             tracemalloc.stop()
-        # Were one packet, or one float, kept for each advance, this would be more.
+        # Storing one packet, or one float, for each advance would exceed this.
         assert after - before < 20_000
 
 
 def test_nan_in_unused_events_does_not_reject_packets(sender: Send) -> None:
-    """The same as FRI has it: a robot may send much that a scene does not show."""
+    """Robots, such as the LWR with FRI, send many values that a scene does not use."""
     source = {"kind": "udp", "port": 0, "structure": "3F3F2F1f1M"}
     routes = {"arm.joint_angles": "udp.values0"}
     scene = Scene(robots=[arm()], sources={"udp": source}, routes=routes)
@@ -396,7 +396,7 @@ def test_nan_in_unused_events_does_not_reject_packets(sender: Send) -> None:
         assert mirror.data.qpos.tolist() == [0.5, 0.0, 0.0]
         counters = mirror.sources["udp"].counters
         assert (counters.blanked, counters.malformed) == (2, 0)
-        sender(mirror, packet(math.nan))  # what moves a robot is another matter
+        sender(mirror, packet(math.nan))  # joint angles move the robot
         assert until(lambda: counters.not_finite == 1)
         assert not mirror.advance()
 
@@ -440,7 +440,7 @@ def test_velocities_are_differences_of_joint_angles() -> None:
             return arm.tolist(), copy.tolist()
 
         none = ([0.0] * 3, [0.0] * 3)
-        assert velocities(10.0, np.zeros(3)) == none  # nothing is known yet
+        assert velocities(10.0, np.zeros(3)) == none  # no earlier packet
         for time in (10.016, 10.05, 10.4):
             found = velocities(time, speeds * (time - 10.0))
             assert found[0] == pytest.approx(speeds)
@@ -449,9 +449,9 @@ def test_velocities_are_differences_of_joint_angles() -> None:
         mirror.advance()
         assert not mirror.data.qvel.any()
         assert velocities(11.0, np.ones(3)) == none  # after a silence
-        assert velocities(10.9, np.zeros(3)) == none  # a recording goes back
+        assert velocities(10.9, np.zeros(3)) == none  # a recording is rewound
         assert velocities(10.9, np.zeros(3)) == none
         assert velocities(11.0, speeds)[0] == pytest.approx(10 * speeds)
-    with mirror:  # what was before is forgotten
+    with mirror:  # reopening discards earlier packets
         mirror.reset()
         assert velocities(11.1, np.zeros(3)) == none

@@ -589,10 +589,11 @@ at = "legs/nothing at all"
 """)
     with pytest.raises(DeclarationError) as caught:
         load_scene(tmp_path / "s.toml")
-    told = str(caught.value)
-    assert "no frame 'legs/left_kne'; did you mean 'legs/left knee'?" in told
+    message = str(caught.value)
+    assert "no frame 'legs/left_kne'; did you mean 'legs/left knee'?" in message
     assert (
-        "no frame 'legs/nothing at all'; available: legs/base, legs/flange, and legs/link" in told
+        "no frame 'legs/nothing at all'; available: legs/base, legs/flange, and legs/link"
+        in message
     )
 
 

@@ -300,9 +300,7 @@ def test_joint_without_torque_limit_has_the_same_singularity_arrow_width() -> No
 
 
 def chain_overlay(count: int) -> tuple[sero_mj.Overlay, Any]:
-    """Returns a chain of many joints with all billboards on, and a function that returns the
-    panels.
-    """
+    """Returns a chain of many joints with all billboards on, and a function for its panels."""
     body = '<body pos="0 0 .1"><joint name="{0}_joint"/><geom size=".03"/>{1}</body>'
     xml = ""
     for k in reversed(range(count)):

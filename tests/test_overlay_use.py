@@ -194,7 +194,7 @@ TORQUES = "4, one per joint: shape (4,), or one per degree of freedom of the mod
 
 
 @pytest.mark.parametrize(
-    ("target", "values", "told"),
+    ("target", "values", "expected"),
     [
         ("arm.torques", [1, 2], {"reason": "found shape", "found": (2,), "expected": TORQUES}),
         ("arm.torques", "high", {"found": "high", "expected": TORQUES}),
@@ -222,9 +222,9 @@ TORQUES = "4, one per joint: shape (4,), or one per degree of freedom of the mod
     ],
 )
 def test_values_of_the_wrong_shape_are_rejected(
-    overlay: Any, target: str, values: Any, told: dict[str, Any]
+    overlay: Any, target: str, values: Any, expected: dict[str, Any]
 ) -> None:
-    with raises_with(key=target, **told):
+    with raises_with(key=target, **expected):
         overlay.set(target, values)
 
 
@@ -250,7 +250,7 @@ def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
 
 
 @pytest.mark.parametrize(
-    ("field", "value", "told"),
+    ("field", "value", "expected"),
     [
         ("arow_radius", 1.0, {"reason": "unknown key", "near": "arrow_radius"}),
         ("dh_params", [], {"reason": "unknown key"}),
@@ -267,8 +267,10 @@ def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
         ("arrow_radius", -1.0, {"found": -1.0, "expected": "positive numbers"}),
     ],
 )
-def test_invalid_robot_fields_are_rejected(field: str, value: Any, told: dict[str, Any]) -> None:
-    with raises_with(key=f"robots.arm.{field}", **told):
+def test_invalid_robot_fields_are_rejected(
+    field: str, value: Any, expected: dict[str, Any]
+) -> None:
+    with raises_with(key=f"robots.arm.{field}", **expected):
         sero_mj.overlay(*arm(), robots={"arm": {field: value}})
 
 

@@ -8,8 +8,7 @@ from conftest import problems_in
 from hypothesis import given
 from hypothesis import strategies as st
 
-from sero_mj.data.drive.limbs import middle_joint
-from sero_mj.data.drive.place import Placer
+from sero_mj.data.drive.place import Placer, middle_joint
 from sero_mj.load import load_scene
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.surroundings import Object
@@ -73,11 +72,11 @@ def test_unknown_frame_and_route_to_a_limb_are_reported(tmp_path) -> None:
     file = tmp_path / "scene.toml"
     limb = 'shape = "limb"\nsize = [0.3, 0.3, 0.05, 0.04]\n'
     file.write_text(f'[robots.lwr]\nmodel = "lwr"\n[objects.arm]\n{limb}reaches = "lwr/flnge"\n')
-    (told,) = problems_in(file)
-    assert "objects.arm.reaches: no frame 'lwr/flnge'" in told and "lwr/flange" in told
+    (problem,) = problems_in(file)
+    assert "objects.arm.reaches: no frame 'lwr/flnge'" in problem and "lwr/flange" in problem
     file.write_text(
         f'[robots.lwr]\nmodel = "lwr"\n[objects.arm]\n{limb}reaches = "lwr/flange"\n'
         '[sources.udp]\nkind = "udp"\nport = 32000\nstructure = "16D"\n'
         '[routes]\n"arm.frame" = "udp.matrices0[0]"\n'
     )
-    assert any("routes.arm.frame" in told for told in problems_in(file))
+    assert any("routes.arm.frame" in problem for problem in problems_in(file))

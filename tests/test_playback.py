@@ -1,4 +1,4 @@
-"""Recordings and tables sent again to real sockets and shared memory."""
+"""Recordings and tables that are sent to real sockets and shared memory."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.data.receive.shm import ShmReader
 from sero_mj.data.receive.structure import Structure
 from sero_mj.data.send.playback import RecordedPackets, timed
 
-LAYOUT = Structure("2F1V1M")  # what `recordings` declares
+LAYOUT = Structure("2F1V1M")  # as declared in `recordings`
 PACKETS = [
     LAYOUT.encode({"values0": [k, -k], "vectors0": [[k, 0, 1]], "matrices0": np.eye(4)})
     for k in range(5)
@@ -105,7 +105,7 @@ def test_packets_that_cannot_be_decoded_or_packed_are_counted(tmp_path: Path) ->
     huge = LAYOUT.encode({"values0": [1e300, 0], "matrices0": np.eye(4)})
     record(path, [PACKETS[1], b"short", PACKETS[2], huge])
     again = RecordedPackets(path, structure=Structure("2f"))
-    assert len(list(again.packets())) == 2  # 1e300 does not fit float32
+    assert len(list(again.packets())) == 2  # 1e300 is out of the range of float32
     raw = RecordedPackets(path, structure=LAYOUT)
     assert [len(packet) for _, packet in raw.packets()] == [168, 5, 168, 168]
     whole = RecordedPackets(path, structure=LAYOUT, only_whole=True)

@@ -212,8 +212,8 @@ def test_invalid_plots_are_rejected(tmp_path: Path) -> None:
         expected="torques or commanded_torques",
     ):
         plot_run(angles, tmp_path / "x.png")
-    told = {"found": 1e6, "of": "mm wide", "expected": "60 mm to 2000 mm"}
-    with raises_with(UsageError, key="size_mm", **told):
+    expected = {"found": 1e6, "of": "mm wide", "expected": "60 mm to 2000 mm"}
+    with raises_with(UsageError, key="size_mm", **expected):
         plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
     missing = "cannot be written: No such file or directory"
     with raises_with(RenderError, reason=f"{tmp_path}/nowhere/x.png: {missing}"):

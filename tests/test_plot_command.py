@@ -90,7 +90,7 @@ def test_table_gives_the_same_figure_as_its_recording(folder: Path, tmp_path: Pa
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["--joints", "A9"], "no joint 'A9' in swing; available: A1, A2, A3"),
         (["--robot", "lrw"], "no robot 'lrw' in swing; did you mean 'lwr'?"),
@@ -105,10 +105,10 @@ def test_unknown_robots_joints_and_times_are_reported(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    said: str,
+    expected: str,
 ) -> None:
     assert plot(folder / "swing.mcap", "-o", tmp_path / "x.png", *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
     assert not (tmp_path / "x.png").exists()
 
 

@@ -1,4 +1,4 @@
-"""The recorder: packets off several threads, bounded memory, a killed process, a full disk."""
+"""`Recorder`: packets of several threads, bounded memory, a killed process, and a full disk."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def packets_in(path: Path, name: str = "arm") -> list[bytes]:
 
 @pytest.fixture
 def held() -> Iterator[threading.Event]:
-    """While it is not set, the recorder's thread stands still in its decoder."""
+    """Event on which the recorder's thread waits in its decoder."""
     event = threading.Event()
     yield event
     event.set()
@@ -135,7 +135,7 @@ def test_signals_rate_limits_decoded_values_but_not_packets(
 ) -> None:
     now = time.monotonic()
     with begin(tmp_path / "a.mcap", signals_rate=rate) as recorder:
-        for i in range(0, 2000, batch):  # two seconds at 1 kHz, which come in batches
+        for i in range(0, 2000, batch):  # two seconds at 1 kHz, in batches
             give(recorder, "arm", [packet(i)] * batch, [now + i / 1000] * batch)
     statistics = recorder.statistics
     assert statistics.packets == 2000
@@ -168,7 +168,7 @@ def test_full_queue_counts_lost_packets(tmp_path: Path, held: threading.Event) -
     assert recorder.statistics.packets == 1 + 2 * sum(taken)
     with Recording(tmp_path / "a.mcap") as recording:
         assert recording.lost == {"arm": lost}
-        assert recording.faults == [f"{lost} packets of source 'arm' could not be kept"]
+        assert recording.faults == [f"{lost} packets of source 'arm' were lost"]
     assert not give(recorder, "arm", [b"late"], [time.monotonic()])
     assert recorder.statistics.not_recorded == {"arm": lost + 1}
 
@@ -178,7 +178,7 @@ def test_take_does_not_wait_for_the_disk(tmp_path: Path, held: threading.Event) 
     recorder = begin(tmp_path / "a.mcap", decode=held_decoder(held, entered))
     give(recorder, "arm", [b"first"], [time.monotonic()])
     assert entered.wait(5.0)
-    # It would wait for ever if it did: the thread that writes stands still.
+    # The writing thread is blocked, so waiting for it would never end.
     assert give(recorder, "arm", [b"second"], [time.monotonic()])
     assert recorder.statistics.packets == 1
     held.set()
@@ -250,7 +250,7 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         line = child.stdout.readline()
         child.kill()
     assert child.returncode == -signal.SIGKILL
-    # 0.4 s until it is written, and what a busy machine adds.
+    # 0.4 s until the chunk is written, plus delays of a busy machine.
     assert 0.3 < float(line) < 5.0
     expected = [packet(i) for i in range(1000)]
     with Recording(path) as recording:
@@ -258,7 +258,7 @@ def test_killed_process_leaves_a_readable_file(tmp_path: Path) -> None:
         assert found[:1000] == expected
         (fault,) = recording.faults
     if "cut off" in fault:
-        return  # it was killed in the midst of a write: then there is half a chunk at the end
+        return  # killed during a write, so the last chunk is incomplete
     with open(path, "rb") as file:
         messages = make_reader(file, validate_crcs=True).iter_messages("/arm/raw")
         assert [unpack_raw(message.data) for _, _, message in messages] == found
@@ -294,7 +294,7 @@ def test_full_disk_ends_the_recording_with_an_error(tmp_path: Path) -> None:
         cwd=Path(__file__).parent,
     )
     assert done.returncode == 0, done.stderr
-    start = f"True RecordingError {path}: the file has reached the largest size that the system"
+    start = f"True RecordingError {path}: the file has reached the maximum size of the system"
     assert done.stdout.startswith(start)
     assert path.stat().st_size <= 100_000
     with open(path, "rb") as file:

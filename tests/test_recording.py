@@ -1,4 +1,4 @@
-"""A recording: what goes in comes out, for us and for the mcap library."""
+"""Recordings are read back by sero-mj, the mcap library and rosbags."""
 
 from __future__ import annotations
 
@@ -189,7 +189,7 @@ def test_chunk_is_flushed_after_less_than_half_a_second(tmp_path: Path) -> None:
         hasty.add_source("arm", kind="udp", declared={}, events={}, size=1)
         hasty.write_raw("arm", b"x", time.monotonic())
         assert hasty.flush_if_old() == math.inf
-        with Recording(tmp_path / "b.mcap") as recording:  # while it is written
+        with Recording(tmp_path / "b.mcap") as recording:  # while it is being written
             assert recording.sources["arm"].count == 1
 
 
@@ -234,7 +234,7 @@ def test_write_rows_equals_write_raw_for_each_packet(tmp_path: Path) -> None:
         with Recording(file) as recording:
             assert recording.faults == []
             found.append(list(recording.packets("arm")))
-        with open(file, "rb") as stream:  # the library's own reader agrees
+        with open(file, "rb") as stream:  # the mcap library reads the same
             messages = list(make_reader(stream).iter_messages(topics=["/arm/raw"]))
         assert [message.sequence for _, _, message in messages] == list(range(5000))
         assert b"".join(unpack_raw(each.data) for _, _, each in messages) == rows.tobytes()
@@ -244,9 +244,9 @@ def test_write_rows_equals_write_raw_for_each_packet(tmp_path: Path) -> None:
 
 
 def test_recording_of_the_first_version_is_read(tmp_path: Path) -> None:
-    """Written by sero-mj before it wrote by the mcap library; its signals have no names."""
+    """Such recordings were not written by the mcap library, and their signals have no names."""
     path = Path(__file__).with_name("recording_format1.mcap")
-    killed = tmp_path / "killed.mcap"  # as that writer left it: a short ending in place of an index
+    killed = tmp_path / "killed.mcap"  # a short ending instead of an index, as after a kill
     with open(path, "rb") as file:
         summary = make_reader(file).get_summary()
         assert summary is not None
@@ -274,7 +274,7 @@ def test_recording_of_the_first_version_is_read(tmp_path: Path) -> None:
 
 
 def test_one_hour_of_76_bytes_at_1_khz_is_less_than_one_gigabyte(tmp_path: Path) -> None:
-    """With the decoded values, noise in every number, and a chunk every 0.4 s; it was 1.65 GB."""
+    """This includes decoded values, noise in every number, and a chunk every 0.4 s."""
     structure, count = Structure("19F", is_double=False), 4000
     random, times = np.random.default_rng(0), np.arange(count) / 1000
     clean = np.sin(times[:, None] * np.arange(1, 20) / 3) * np.linspace(1, 40, 19)

@@ -1,4 +1,4 @@
-"""A recording that is cut off, damaged, or of another program, and a disk that is full."""
+"""Truncated and damaged recordings, files of other programs, and full disks."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_truncated_recording_has_the_packets_before_the_cut(tmp_path: Path) -> N
         assert found == expected[: len(found)]
         found_sizes.add(len(found))
     assert len(found_sizes) > 2 and max(found_sizes) == 12
-    # What the library says of a file without its end: everything up to there, then an error.
+    # The mcap library reads a file without an end up to the cut, and then raises an error.
     cut.write_bytes(whole[: len(whole) // 2])
     kinds = []
     with open(cut, "rb") as file, pytest.raises((McapError, struct.error, ValueError)):
@@ -192,15 +192,15 @@ packets = [random.Random(i).randbytes(100) for i in range(1000)]
 for limit in map(int, sys.argv[3:]):
     writer = begin(f"{sys.argv[1]}/{limit}.mcap", "arm", chunk_bytes=int(sys.argv[2]))
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, hard))  # Python ignores SIGXFSZ
-    told = []
+    reported = []
     for i, packet in enumerate(packets):
         try:
             writer.write_raw("arm", packet, i / 10)
         except RecordingError as error:
-            told.append(str(error))
+            reported.append(str(error))
     writer.close()
     resource.setrlimit(resource.RLIMIT_FSIZE, (hard, hard))
-    print(len(set(told)), writer.size, told[0])
+    print(len(set(reported)), writer.size, reported[0])
 """
 
 

@@ -1,4 +1,4 @@
-"""A recording played again: the same packets through the same decoder, to the same frames."""
+"""`Replay`: the same packets and decoder result in the same frames as in the live run."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def scene_of(lwr: SerialRobot, source: object) -> Scene:
 def recorded(
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[tuple[Path, list[tuple[float, np.ndarray, np.ndarray]]]]:
-    """A recording, and the live run: when, the state that was shown, and its picture."""
+    """A recording, and the time, state and image of each frame of the live run."""
     path = tmp_path_factory.mktemp("replay") / "run.mcap"
     robot = SerialRobot.from_model("lwr", show_arrows=True, show_billboards=True)
     source = UdpReceiver(structure=STRUCTURE, sequence="number", name="udp")
     shown = []
-    # Good ones, torques that are no data, one too short, one too long, no frame, a lost one, an
-    # old one, NaN where it would move: what was counted live is to be counted again.
+    # Valid packets, missing torques, wrong sizes, an invalid frame, a lost packet, an old packet,
+    # and NaN in joint angles. The replay must have the same counts as the live run.
     bursts = [
         [packet(65_534, 0.1), packet(65_535, 0.2)],
         [packet(0, 0.3, torque=float("nan"))],
@@ -90,7 +90,7 @@ def test_replay_shows_the_same_frames_as_the_live_run(recorded: tuple[Path, list
     ):
         assert not mirror.is_live
         slot = mirror.world.slots["sources.udp"]
-        ages = ("age", "fault_age", "link_age")  # the same but for the time of looking
+        ages = ("age", "fault_age", "link_age")  # times that depend on the time of the call
         times = [slot.start + SOURCE_FIELDS.index(age) for age in ages]
         others = np.setdiff1d(np.arange(len(mirror.data.userdata)), times)
         for at, userdata, qpos, pixels in shown:
@@ -113,7 +113,7 @@ def test_seeking_and_looping_reproduce_recorded_poses(
             for k in order:
                 mirror.advance(shown[k][0])
                 assert mirror.data.qpos.tolist() == shown[k][2].tolist(), k
-    # Round: a time beyond the end is one in the next round.
+    # In a loop, a time beyond the end is in the next repetition.
     replay = Replay(file=path, start=0.0, loop=True)
     with Mirror(scene_of(lwr, replay)) as mirror:
         for round_ in (0, 1, 7):
@@ -136,7 +136,7 @@ def test_speed_seek_pause_and_resume(recorded: tuple[Path, list[tuple]], lwr: Se
         replay.resume(50.0)
         mirror.advance(50.0 + (shown[3][0] - shown[1][0]) / 4)
         assert mirror.data.qpos.tolist() == shown[3][2].tolist()
-        mirror.advance(50.0 + (replay.duration - shown[1][0]) / 4)  # at the end it stays
+        mirror.advance(50.0 + (replay.duration - shown[1][0]) / 4)  # it stops at the end
         assert replay.position == pytest.approx(replay.duration)
         assert replay.receiving
 
@@ -232,7 +232,7 @@ def test_commands_record_render_and_export(
     with subprocess.Popen(command, stdout=subprocess.DEVNULL) as robot:
         try:
             count = 0
-            while count < 50:  # until the robot is there
+            while count < 50:  # until the sender has started
                 with pytest.raises(SystemExit) as caught:
                     main(["record", str(scene), str(run), "--duration", "0.5", "--overwrite"])
                 with Recording(run) as recording:

@@ -1,4 +1,4 @@
-"""Where a recording begins and ends: seeking there, beyond it, and what is said about it."""
+"""Begin and end of a replay: seeking, playing beyond the end, and error messages."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKETS = moving(11)
 
 @pytest.fixture
 def recording(tmp_path: Path) -> Path:
-    """Eleven packets in the second from 0 on, or a little later."""
+    """Eleven packets within one second."""
     path = tmp_path / "rec.mcap"
     record(path, PACKETS)
     return path
@@ -54,21 +54,21 @@ def test_status_plays_a_recording(
 
 
 @pytest.mark.parametrize(
-    ("more", "said"),
+    ("more", "reported"),
     [
         ("start = 50", "start: found 50; the recording ends at 1.00 s"),
         ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5, start, in s"),
         ("stop = -1", "stop: found -1; expected more than 0, the time of its first packet, in s"),
     ],
 )
-def test_empty_time_ranges_are_reported(recording: Path, more: str, said: str) -> None:
+def test_empty_time_ranges_are_reported(recording: Path, more: str, reported: str) -> None:
     file = scene_file(recording, more)
     with pytest.raises(DeclarationError) as caught:
         load_scene(file)
     (problem,) = caught.value.problems
     assert (
         re.sub(r"than \d\.?\d*e-\d+", "than 0", str(problem))
-        == f"{file}:{problem.line}: sources.arm.{said}"
+        == f"{file}:{problem.line}: sources.arm.{reported}"
     )
     assert problem.line == 8 + len(more.splitlines())
 
@@ -83,8 +83,8 @@ def test_empty_time_ranges_of_options_are_reported(
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 0.5, "--to", 0.2)
-    said = "sero-mj: --to: found 0.2; expected a time after --from, s"
-    assert said in capsys.readouterr().err
+    reported = "sero-mj: --to: found 0.2; expected a time after --from, s"
+    assert reported in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 2)
     assert "--from: found 2; the recording ends" in capsys.readouterr().err
     assert not list(tmp_path.glob("x.*"))
@@ -96,8 +96,8 @@ def test_export_does_not_overwrite_an_existing_table(
     table = tmp_path / "t.csv"
     table.write_text("mine")
     refused("export", recording, table)
-    said = f"sero-mj: {table} already exists; choose another name or add --overwrite\n"
-    assert capsys.readouterr().err == said
+    reported = f"sero-mj: {table} already exists; choose another name or add --overwrite\n"
+    assert capsys.readouterr().err == reported
     assert table.read_text() == "mine"
     with pytest.raises(SystemExit) as caught:
         main(["export", str(recording), str(table), "--overwrite"])
@@ -107,8 +107,8 @@ def test_export_does_not_overwrite_an_existing_table(
 
 def test_send_rejects_a_replay_source(recording: Path, capsys: pytest.CaptureFixture[str]) -> None:
     refused("send", scene_file(recording), "--duration", 0.1)
-    said = "source 'arm' of the scene is a recording, which cannot receive packets. Add --port"
-    assert capsys.readouterr().err.startswith(f"sero-mj: {said}")
+    reported = "source 'arm' of the scene is a recording, which cannot receive packets. Add --port"
+    assert capsys.readouterr().err.startswith(f"sero-mj: {reported}")
 
 
 def test_first_packet_is_received_once_for_any_start(recording: Path) -> None:

@@ -111,12 +111,12 @@ def test_cached_description_needs_no_network(tmp_path: Path) -> None:
     urdf = URDF.format(name="panda", joint="panda_joint1")
     files = {"robots/panda_description/urdf/panda.urdf": urdf}
     environment = cached(tmp_path / "cache", "example-robot-data", files)
-    status, said = run_command(["check", "panda_description"], tmp_path, environment)
-    assert status == 0, said
-    assert "panda: no errors" in said and "joint panda_joint1 moves" in said
+    status, output = run_command(["check", "panda_description"], tmp_path, environment)
+    assert status == 0, output
+    assert "panda: no errors" in output and "joint panda_joint1 moves" in output
     (tmp_path / "scene.toml").write_text('[robots.one]\nmodel = "panda_description"\n')
-    status, said = run_command(["check", "scene.toml"], tmp_path, environment)
-    assert status == 0 and "robot   one: 1 joints" in said
+    status, output = run_command(["check", "scene.toml"], tmp_path, environment)
+    assert status == 0 and "robot   one: 1 joints" in output
 
 
 def test_xacro_description_has_its_arguments(tmp_path: Path) -> None:
@@ -132,9 +132,9 @@ def test_xacro_description_has_its_arguments(tmp_path: Path) -> None:
         "urdf/inc/ur5e.xacro": part,
     }
     environment = cached(tmp_path / "cache", "ur_description", files)
-    status, said = run_command(["check", "ur5e_description"], tmp_path, environment)
-    assert status == 0, said
-    assert "ur5e_description: no errors" in said and "shoulder_pan_joint moves" in said
+    status, output = run_command(["check", "ur5e_description"], tmp_path, environment)
+    assert status == 0, output
+    assert "ur5e_description: no errors" in output and "shoulder_pan_joint moves" in output
 
 
 def test_failed_downloads_are_reported(tmp_path: Path) -> None:
@@ -143,11 +143,11 @@ def test_failed_downloads_are_reported(tmp_path: Path) -> None:
     other = "0" * 40
     folder.rename(folder.with_name(f"example-robot-data-{other}"))
     environment["ROBOT_DESCRIPTION_COMMIT"] = other  # which would require a download
-    status, said = run_command(["check", "panda_description"], tmp_path, environment)
+    status, output = run_command(["check", "panda_description"], tmp_path, environment)
     assert status == 2
-    (line,) = [each for each in said.splitlines() if each.startswith("sero-mj: ")]
+    (line,) = [each for each in output.splitlines() if each.startswith("sero-mj: ")]
     assert line.startswith("sero-mj: panda_description: robot_descriptions cannot fetch it: ")
-    assert "Traceback" not in said
+    assert "Traceback" not in output
 
 
 def test_file_with_the_name_of_a_description_downloads_nothing(
@@ -162,9 +162,9 @@ def test_file_with_the_name_of_a_description_downloads_nothing(
 
 def test_known_names_are_listed_and_suggested(tmp_path: Path) -> None:
     environment = {key: value for key, value in os.environ.items() if key not in UNSET}
-    status, said = run_command(["list", "--known"], tmp_path, environment)
-    assert status == 0 and "MuJoCo Menagerie: no clone" in said
-    lines = said.splitlines()
+    status, output = run_command(["list", "--known"], tmp_path, environment)
+    assert status == 0 and "MuJoCo Menagerie: no clone" in output
+    lines = output.splitlines()
     assert "  ur5e_description" in lines  # one per line if the output is not a terminal
     names = lines[lines.index("robot_descriptions") + 1 :]
     assert len(names) > 100 and names == sorted(names)

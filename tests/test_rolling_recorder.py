@@ -85,9 +85,11 @@ def test_export_with_much_output_does_not_block_the_next(
     films = BackgroundExports()
     for name in ("first.mp4", "second.mp4"):
         films.add(SHORT, tmp_path / name)
-    said = []
-    assert until(lambda: said.append(films.advance()) or len([*filter(None, said)]) == 2, 60.0)
-    assert [*filter(None, said)] == [
+    messages = []
+    assert until(
+        lambda: messages.append(films.advance()) or len([*filter(None, messages)]) == 2, 60.0
+    )
+    assert [*filter(None, messages)] == [
         ("video first.mp4 failed: a line of a warning", True),
         ("video second.mp4 failed: a line of a warning", True),
     ]

@@ -231,7 +231,7 @@ def test_failing_run_ends_alone() -> None:
     assert [run.is_done for run in runs[1:]] == [False, False, False]
     asked, motor, moved = (run.error for run in runs[1:])
     assert (asked.joint, asked.time) == ("lwr/A3", pytest.approx(0.05))
-    assert asked.reason == "the controller asks for nan Nm; expected a finite number"
+    assert asked.reason == "the controller requested nan Nm; expected a finite number"
     assert motor.reason.startswith("found a motor torque of 1e+30 Nm; expected ")
     assert (motor.joint, motor.problem.found) == ("lwr/A3", 1e30)
     assert moved.problem.reason == "the motion is unstable: found an acceleration of"
@@ -243,9 +243,9 @@ def test_runaway_joint_ends_its_run_alone() -> None:
     off = {"f": {"kind": "controller", "gain": -1.0, "joints": ["A2", "A4"], "begin": 0.02}}
     runs = check([scenario(duration=0.6, disturbances=PUSH), scenario(duration=0.6, faults=off)])
     assert runs[0].error is None
-    told = runs[1].error.problem
-    assert told.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
-    assert told.found > 3 * np.deg2rad(112.5)
+    problem = runs[1].error.problem
+    assert problem.of == "rad/s, more than 3 times its velocity limit, 1.963 rad/s"
+    assert problem.found > 3 * np.deg2rad(112.5)
 
 
 @pytest.mark.filterwarnings("ignore:overflow")

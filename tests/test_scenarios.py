@@ -206,12 +206,12 @@ def test_unknown_scenario_is_rejected_with_a_suggestion() -> None:
 
 
 def test_overridden_keys_must_exist(tmp_path: Path) -> None:
-    for key, told in (
+    for key, expected in (
         ("controllers.lwrr.stiffness", {"reason": "no robot", "found": "lwrr", "near": "lwr"}),
         ("run.duratio", {"reason": "unknown key", "near": "duration"}),
         ("controllers.lwr.stifness", {"reason": "unknown key", "near": "stiffness"}),
     ):
-        with raises_with(key=key, **told):
+        with raises_with(key=key, **expected):
             read(tmp_path, BASE, {key: 1})
 
 
@@ -221,7 +221,7 @@ def test_overridden_keys_must_exist(tmp_path: Path) -> None:
 def test_infeasible_targets_and_controllers_are_rejected_before_the_first_step() -> None:
     far = {"kind": "constant", "angles_deg": [0, 130, 0, 0, 0, 0, 0]}
     assert problems(targets={"lwr": far}) == [
-        "targets.lwr: joint A2 is to be at 130 deg at t = 0.000 s; expected -120 to 120 deg"
+        "targets.lwr: the target of joint A2 is 130 deg at t = 0.000 s; expected -120 to 120 deg"
     ]
     (found,) = problems(
         controllers={"lwr": {"kind": "cartesian_impedance"}},
@@ -381,7 +381,7 @@ def test_user_controllers_must_write_into_out() -> None:
         SimulationError,
         time=0.0,
         joint="lwr",
-        reason="torques() has returned something; expected it to write into `out`",
+        reason="torques() returned a value; expected None, and torques written to `out`",
     ):
         ran(scenario(controllers={"lwr": Returns()}))
     (found,) = problems(controllers={"lwr": Returns})
@@ -401,8 +401,8 @@ def test_too_fast_motion_is_reported_with_its_peak_and_ramp() -> None:
         targets={"lwr": {"kind": "sine", "amplitude_deg": [90, 0, 0, 0, 0, 0, 0],
                          "frequency": 0.19}}, duration=5.0,
     )  # fmt: skip
-    assert "joint A1 is to move at 1" in found and "expected up to 112.5 deg/s" in found
-    assert found.endswith("; it grows within 1 s: ramp = 2 is gentler")
+    assert "the target velocity of joint A1 is 1" in found and "expected up to 112.5 deg/s" in found
+    assert found.endswith("; only the ramp of 1 s exceeds it: try ramp = 2")
 
 
 def test_early_end_of_a_run_fails_later_expectations() -> None:

@@ -1,4 +1,4 @@
-"""Sending: the packets of a motion, at the right times, whatever the network says."""
+"""`send`: packets of a motion at exact times, independently of network errors."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def to(listener: socket.socket) -> Iterator[UdpSink]:
 @pytest.mark.slow
 def test_packets_are_sent_at_1_khz(to: UdpSink) -> None:
     reports: list[SendReport] = []
-    # A busy machine may stall one run of half a second, hardly three.
+    # A busy machine may delay one run of half a second, but hardly three.
     while len(reports) < 3 and not (reports and 950 < reports[-1].rate < 1050):
         start = time.perf_counter()
         reports.append(send(paced(lambda t: b"1", 1000, 0.5), to))
@@ -84,7 +84,7 @@ def test_packets_are_sent_in_order_and_on_time(listener: socket.socket, to: UdpS
     send(paced(packet_at, 500, 0.1), to)
     assert made == [k / 500 for k in range(50)]
     assert [struct.unpack("<d", listener.recv(100))[0] for _ in range(50)] == made
-    # The next packet is made when the one before has left: none leaves before its time.
+    # A packet is computed after the previous one was sent, so none is sent early.
     assert (np.array(moments[1:]) >= start + np.array(made[:-1])).all()
 
 
@@ -96,7 +96,7 @@ def test_reported_rate_is_packets_per_second() -> None:
 def test_delays_are_reported(to: UdpSink) -> None:
     def packet_at(t: float) -> bytes:
         if t >= 0.05:
-            time.sleep(0.02)  # a motion that takes longer to compute than there is time
+            time.sleep(0.02)  # computing the motion takes too long
         return b""
 
     report = send(paced(packet_at, 100, 0.1), to)
@@ -108,7 +108,7 @@ def test_delays_are_reported(to: UdpSink) -> None:
 def test_refused_packets_are_counted_and_sending_continues(
     listener: socket.socket, to: UdpSink
 ) -> None:
-    # No UDP packet is that long: the system refuses every other one.
+    # The system rejects every second packet, which is too long for UDP.
     packets = paced(lambda t: bytes(70_000 if round(t * 1000) % 2 else 8), 1000, 0.02)
     report = send(packets, to)
     assert (report.packets, report.refused) == (20, 10)
@@ -170,7 +170,7 @@ def test_packets_have_the_signals_of_the_routed_inputs(t: float) -> None:
     assert packets.structure.text == "2F2F2F"
     position, velocity, acceleration = SineMotion(arm(), 0.5).at(t)
     torques = InverseDynamics(arm()).torques(position, velocity, acceleration)
-    # Billboards show what else there is: the velocities.
+    # Billboard values are the velocities.
     expected = struct.pack("<6d", *position, *torques, *velocity)
     assert packets.at(t) == expected
     assert math.isfinite(sum(struct.unpack("<6d", expected)))
@@ -235,7 +235,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"udp": UDP, "idle": OTHER_UDP},
             {"source": "idle"},
-            "no route leads from 'idle': there is nothing to send",
+            "no route uses source 'idle', so there is nothing to send",
         ),
         (
             {"udp": UDP},

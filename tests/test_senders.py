@@ -1,4 +1,4 @@
-"""Who sends: a sender that is started anew from another port, and several at once."""
+"""Detection of restarted senders with another port, and of concurrent senders."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ EVERY = 0.005  # s
 def sent_by(
     port: int, count: int, start: float, clock: float = 0.0
 ) -> list[tuple[float, int, bytes]]:
-    """Packets of one run of a robot's program: arrival, port, bytes."""
+    """Returns the packets of one run of a sender: arrival, port, bytes."""
     return [
         (
             start + EVERY * k,
@@ -27,7 +27,7 @@ def sent_by(
 
 
 def taken(packets: list[tuple[float, int, bytes]], batch: int, **fields: str) -> Intake:
-    """An intake that got them in order of arrival, so many at a time."""
+    """Returns an intake that has received the packets in order of arrival, in batches."""
     intake = Intake(LAYOUT, **fields)
     packets = sorted(packets)
     for first in range(0, len(packets), batch):
@@ -48,7 +48,7 @@ def test_restarted_sender_with_a_new_port_counts_as_a_restart(
     batch: int, pause: float, fields: dict[str, str]
 ) -> None:
     run = 300 * EVERY
-    clocks = (0.0, 500.0, 7.0)  # three runs, none with the clock of the one before
+    clocks = (0.0, 500.0, 7.0)  # three runs with different clocks
     packets = [
         packet
         for k, clock in enumerate(clocks)
@@ -58,7 +58,7 @@ def test_restarted_sender_with_a_new_port_counts_as_a_restart(
     counters = intake.counters
     assert (counters.restarts, counters.senders) == (2, 1)
     assert (counters.lost, counters.late, counters.duplicates) == (0, 0, 0)
-    assert intake.timing.delay == pytest.approx(0.0, abs=1e-9)  # by the new clock
+    assert intake.timing.delay == pytest.approx(0.0, abs=1e-9)  # on the new clock
 
 
 @pytest.mark.parametrize("batch", [1, 7, 256])

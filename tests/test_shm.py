@@ -1,4 +1,4 @@
-"""`ShmReader` on real shared memory: what is applied, and what is told when nothing is."""
+"""`ShmReader` on real shared memory: applied packets, and reasons why none are applied."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ LOCKED: dict[str, Any] = {"structure": "lock:1Q v:2d", "lock": "lock"}
 
 @pytest.fixture(autouse=True)
 def patient_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A thread that a busy machine holds up in its read is waited for, else nothing new is seen."""
+    """Reads the latest values; waits if the receiving thread is delayed during a read."""
     monkeypatch.setattr(shm, "_LOCK_TIMEOUT", 5.0)
 
 
@@ -50,7 +50,7 @@ def test_latest_reads_a_packet_immediately_after_it_is_written(block: str) -> No
     reader = ShmReader(block=block, poll_rate=1.0, **LOCKED)
     with ShmWriter(block, reader.layout, "lock") as writer, reader:
         assert reader.latest() is None
-        for k in range(1, 4):  # one look a second would find one of them
+        for k in range(1, 4):  # polling once per second would find only one
             before = time.monotonic()
             writer.put(locked(0, k, -k))
             packet = reader.latest()
@@ -71,7 +71,7 @@ def test_thread_receives_packets_and_calls_back(block: str) -> None:
         assert reader.wait(5.0)
         assert until(lambda: called)
         writer.put(locked(0, 3, 4))
-        assert shown(reader) == [3, 4]  # found by this thread, but called back by the other
+        assert shown(reader) == [3, 4]  # read by this thread, but called back by the other
         assert until(lambda: len(called) >= 2)
     assert set(called) == {"shm r"}
 
@@ -103,7 +103,7 @@ def test_missing_block_is_reported_and_opened_when_it_is_created(
         made = Block(block, writable=True, create=True)
         assert until(lambda: reader.trouble == f"shared memory {block} has 0 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: "(24 bytes), nothing is written yet" in reader.trouble)
+        assert until(lambda: "(24 bytes), but nothing is written yet" in reader.trouble)
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert shown(reader) == [5, 6]
@@ -118,10 +118,10 @@ def test_recreated_block_is_opened_quickly(block: str) -> None:
     structure = "n:1I v:1d"
     with ShmReader(block=block, structure=structure, sequence="n") as reader:
         for life in range(1, 4):
-            made = make(block, struct.pack("<Id", 1, life))  # it counts from 1 each time
+            made = make(block, struct.pack("<Id", 1, life))  # each writer counts from 1
             born = time.monotonic()
             assert until(lambda life=life: shown(reader) == [life])
-            assert time.monotonic() - born < 1.0  # 20 ms, on a machine that is not busy
+            assert time.monotonic() - born < 1.0  # 20 ms on an idle machine
             counters = reader.counters
             assert (counters.restarts, counters.late, counters.duplicates) == (life - 1, 0, 0)
             remove(made)
@@ -152,7 +152,7 @@ def test_shrunk_block_is_reported_and_read_again_when_it_grows(block: str) -> No
             assert reader.trouble == f"shared memory {block} has {size} bytes; expected 24"
         assert shown(reader) == [1, 2]
         assert (counters.received, counters.wrong_size) == (3, 2)
-        made.resize(5000)  # more than is needed, as systems that count pages have it
+        made.resize(5000)  # larger than necessary, as on systems that round to pages
         made.write(locked(4, 3, 4))
         assert until(lambda: shown(reader) == [3, 4])
         assert reader.trouble == ""
@@ -243,13 +243,13 @@ def test_packet_is_applied_only_after_its_counter_has_changed(block: str) -> Non
 
 def test_packet_is_applied_after_the_settle_time(block: str) -> None:
     made = make(block, struct.pack("<2d", 1.0, 1.0))
-    start = time.monotonic()  # the reader looks as soon as it is made
+    start = time.monotonic()  # the reader starts immediately
     with ShmReader(block=block, structure="v:2d", settle=0.3) as reader:
         assert until(lambda: shown(reader) == [1.0, 1.0])
         assert time.monotonic() - start >= 0.3
         made.write(struct.pack("<d", 2.0))
         looked = reader.receive_trigger
-        assert until(lambda: reader.latest() and reader._packets._standing[:8] != bytes(8))
+        assert until(lambda: reader.latest() and reader._packets._candidate[:8] != bytes(8))
         made.write(struct.pack("<d", 2.0), 8)
         assert until(lambda: reader.receive_trigger > looked)
         assert shown(reader) == [2.0, 2.0]
@@ -264,7 +264,7 @@ def test_lock_can_have_any_type(block: str, kind: str) -> None:
     fields: dict[str, Any] = {"structure": structure.text, "lock": "lock", "alignment": 8}
     reader = ShmReader(block=block, poll_rate=1.0, **fields)
     with ShmWriter(block, structure, "lock") as writer, reader:
-        for k in range(300):  # some of them wrap
+        for k in range(300):  # some types wrap
             writer.put(structure.encode({"v": [k + 1]}))
             assert shown(reader) == [k + 1]
         assert reader.counters.torn == 0
@@ -301,7 +301,7 @@ def test_close_is_immediate_and_frees_all_resources(
             start = time.monotonic()
         assert time.monotonic() - start < 0.5
         assert not [t for t in threading.enumerate() if t.name == "shm closing"]
-        assert shown(reader) == [1, 2]  # what came last stays to be seen
+        assert shown(reader) == [1, 2]  # the last packet remains available
     reader.close()
     assert not LINUX or len(os.listdir("/proc/self/fd")) == open_files
     assert f"source 'closing': reading shared memory {block}" in caplog.text
@@ -322,24 +322,24 @@ def test_exiting_reader_does_not_remove_the_block(block: str) -> None:
 
 
 def test_status_reports_why_no_packets_arrive(block: str) -> None:
-    def told(reader: ShmReader) -> str:
+    def reported(reader: ShmReader) -> str:
         return describe(report(reader))[0][2]
 
     with ShmReader(block=block, **LOCKED) as reader:
-        assert told(reader) == f"no valid packet yet: no shared memory {block} yet"
+        assert reported(reader) == f"no valid packet yet: no shared memory {block} yet"
         made = make(block, bytes(16))
         about = f"no valid packet yet: shared memory {block}"
-        assert until(lambda: told(reader) == f"{about} has 16 bytes; expected 24")
+        assert until(lambda: reported(reader) == f"{about} has 16 bytes; expected 24")
         made.resize(24)
         assert until(
-            lambda: told(reader) == f"{about} exists (24 bytes), but nothing is written yet"
+            lambda: reported(reader) == f"{about} exists (24 bytes), but nothing is written yet"
         )
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
-        assert "jitter" in told(reader)
+        assert "jitter" in reported(reader)
         remove(made)
         gone = f": shared memory {block} is gone"
-        assert until(lambda: "for" in told(reader) and told(reader).endswith(gone))
+        assert until(lambda: "for" in reported(reader) and reported(reader).endswith(gone))
 
 
 def test_recorded_shared_memory_is_replayed(block: str, tmp_path: Path) -> None:

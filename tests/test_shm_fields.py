@@ -1,4 +1,4 @@
-"""What cannot be read from or written to shared memory is told before it is tried, or clearly."""
+"""Errors of shared-memory declarations, readers and writers."""
 
 from __future__ import annotations
 
@@ -50,9 +50,9 @@ def test_invalid_block_names_are_reported(name: str, message: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("robot", {"kind": "shm", "block": name, "structure": "1F"})
     assert message in str(caught.value)
-    with pytest.raises(SourceError) as told:
+    with pytest.raises(SourceError) as reported:
         ShmWriter(name, Structure("1F"))
-    assert message in str(told.value)
+    assert message in str(reported.value)
 
 
 def test_block_name_can_begin_with_a_slash() -> None:
@@ -66,7 +66,7 @@ def test_block_name_can_begin_with_a_slash() -> None:
         ({"lock": "v"}, "'v' has 2 numbers; expected one, as in v:1I"),
         (
             {"lock": "lock", "sequence": "lock"},
-            "'lock' is lock and sequence; a lock increases by two",
+            "'lock' is both lock and sequence, but a lock increases by two",
         ),
         ({"lock": "late"}, "lock 'late' is at byte 9; expected a multiple of 8"),
         ({"lock": "lock", "offset": 2}, "lock 'lock' is at byte 2; expected a multiple of 8"),
@@ -89,7 +89,7 @@ def test_unreadable_blocks_are_reported(block: str, monkeypatch: pytest.MonkeyPa
             ShmReader(block=block, structure="1F").open()
     finally:
         os.rmdir(f"/dev/shm{block}")
-    assert str(caught.value) == f"source 'shm': shared memory {block}: it is no shared memory"
+    assert str(caught.value) == f"source 'shm': shared memory {block}: not shared memory"
 
     def refuse(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")
@@ -113,9 +113,9 @@ def test_missing_shared_memory_support_is_reported(monkeypatch: pytest.MonkeyPat
 
 def test_check_prints_block_size_and_events(capsys: pytest.CaptureFixture[str]) -> None:
     assert run(["check", "lwr_shm"]) == 0
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     events = "lock (1), angles (7), torques (7)"
-    assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in said
+    assert f"source  robot: shared memory /sero_lwr, 120 bytes: {events}" in output
 
 
 @pytest.mark.parametrize(
@@ -140,6 +140,6 @@ def test_robot_without_a_scene_is_sent_to_shared_memory(
     block: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert run(["send", "lwr", "--shm", block, "--duration", "0.05"]) == 0
-    said = capsys.readouterr().out
-    assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in said
-    assert "sent 50 packets" in said
+    output = capsys.readouterr().out
+    assert f"sending 7F7F (112 bytes) to shared memory {block} at 1000 Hz" in output
+    assert "sent 50 packets" in output

@@ -1,4 +1,4 @@
-"""Writers of shared memory: the shipped ones, our own, those that die, and hostile ones."""
+"""Writers of shared memory: the examples, `ShmWriter`, killed writers, and hostile writers."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def programs(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 
 @pytest.fixture
 def running() -> Iterator[Any]:
-    """Starts programs, and ends those that still run."""
+    """Starts programs, and finally ends the running ones."""
     started: list[subprocess.Popen[str]] = []
 
     def start(*command: str | Path) -> subprocess.Popen[str]:
@@ -68,7 +68,7 @@ def shipped_reader(block: str) -> ShmReader:
 
 
 def check_motion(reader: ShmReader) -> None:
-    """Whether what comes is what both examples write."""
+    """Checks that packets have the motion of both examples."""
     assert reader.wait(20.0), reader.trouble
     assert until(lambda: reader.receive_trigger > 50, seconds=20.0)
     packet = reader.latest()
@@ -77,7 +77,7 @@ def check_motion(reader: ShmReader) -> None:
     t = np.arctan2(angles[0] / 0.6, torques[0] / 20.0)
     np.testing.assert_allclose(angles, 0.6 * np.sin(t + np.arange(7)), atol=1e-9)
     np.testing.assert_allclose(torques, 20.0 * np.cos(t + np.arange(7)), atol=1e-9)
-    assert reader.counters.malformed == reader.counters.wrong_size  # what was there before
+    assert reader.counters.malformed == reader.counters.wrong_size  # the previous contents
 
 
 def test_c_example_is_read_and_replaced_after_a_kill(
@@ -126,7 +126,7 @@ def test_shared_memory_moves_the_shipped_scene(block: str) -> None:
             assert mirror.advance()
             qpos = mirror.data.qpos[mirror.world.robots["lwr"].qpos]
             np.testing.assert_array_equal(qpos, angles)
-            for _ in range(20):  # what is read in this very moment is not older than nothing
+            for _ in range(20):  # a read during the update is allowed
                 writer.put(source.layout.encode(packet))  # type: ignore[attr-defined]
                 assert mirror.advance()
                 assert Staleness(mirror.world).find(mirror.data) == {}
@@ -165,7 +165,7 @@ def test_torn_packets_are_never_applied(
         values = rows[:, 16:].view("<f8")
         counts = rows[:, 8:16].view("<u8")[:, 0]
         same = (values == values[:, :1]).all(axis=1)
-        same &= counts == values[:, 0] if fields else True  # else the count is but one more value
+        same &= counts == values[:, 0] if fields else True  # otherwise, the count is a plain value
         torn.extend(counts[~same].tolist())
         good.extend(counts[same].tolist())
 
@@ -178,7 +178,7 @@ def test_torn_packets_are_never_applied(
     with reader:
         packets = reader._packets
         begin = time.monotonic()
-        # A busy machine can need longer to catch a writer that never stops in the middle.
+        # On a busy machine, it can take longer to observe a continuous writer during a write.
         while (gone := time.monotonic() - begin) < 20.0:
             reader.latest()
             reads += 1
@@ -188,12 +188,12 @@ def test_torn_packets_are_never_applied(
     written, held_up = map(int, writer.communicate(timeout=20.0)[0].split())
     unlink(block)
     assert packets is not None and reads > 200 and written > 50
-    # Without a lock nobody can notice a writer that the system holds up in the middle of a packet.
+    # Without a lock, an interruption of the writer during a packet cannot be detected.
     assert len(torn) <= (0 if mode == "lock" else held_up), (torn, held_up)
     if between:
         assert len(good) > 20
         assert good == sorted(set(good))
-    else:  # it never stops writing: that is told
+    else:  # continuous writing is reported
         assert reader.counters.torn > 0
 
 
@@ -212,7 +212,7 @@ def test_writer_killed_during_a_write_is_replaced(
 ) -> None:
     reader = ShmReader(block=block, structure=PACKET, lock="lock")
     with reader:
-        # It stops in the middle of its first packet.
+        # The writer stops during its first packet.
         writer = running(programs["hostile"], block, "lock", "1e9", "0", "0")
         assert until(lambda: "'lock' is odd" in reader.trouble, seconds=20.0)
         writer.kill()
@@ -237,7 +237,7 @@ def test_writer_continues_the_lock_of_a_dead_writer(block: str) -> None:
         assert struct.unpack("<Qd", made.read(16)) == (10, 2.5)
         with raises_with(found=3):
             writer.put(b"abc")
-    assert exists(block)  # it was not the writer's own
+    assert exists(block)  # because the writer did not create it
     remove(made)
 
 
@@ -282,8 +282,8 @@ def test_send_command_writes_shared_memory(running: Any, block: str, options: li
         assert reader.wait(30.0)
         assert until(lambda: reader.receive_trigger > 100)
         writer.send_signal(signal.SIGINT)
-        said = writer.communicate(timeout=20.0)[0]
-        assert f"(120 bytes) to shared memory {block} at " in said
-        assert "sent " in said
+        output = writer.communicate(timeout=20.0)[0]
+        assert f"(120 bytes) to shared memory {block} at " in output
+        assert "sent " in output
         assert reader.counters.malformed == 0
         assert until(lambda: reader.trouble == f"shared memory {block} is gone")

@@ -244,15 +244,15 @@ def test_interrupted_run_is_saved_and_not_judged(
     monkeypatch.setattr(RunRecorder, "write", interrupted)
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--real-time", *options) == 130
-    said = capsys.readouterr()
-    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; expect.*", said.err)
+    output = capsys.readouterr()
+    (text,) = re.findall(r"sero-mj: stopped at (0\.\d+) s of 0\.4 s; expect.*", output.err)
     step = round(1000 * float(text))
     assert step == written[-1] - 1
     assert all(stop <= 100 for stop in written[:-1])
-    assert "held" not in said.out and "FAILED" not in said.out
+    assert "held" not in output.out and "FAILED" not in output.out
     if options == ["--json"]:
-        found = json.loads(said.out)
-        assert found["error"] in said.err and found["expect"] == []
+        found = json.loads(output.out)
+        assert found["error"] in output.err and found["expect"] == []
     with Recording(out) as recording:
         assert recording.sources[SOURCE].count == step + 1
 
@@ -264,8 +264,8 @@ def test_rows_before_an_error_are_saved(
     scenario.write_text(MINE.replace("-40.0", "-1e9"))
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--csv", tmp_path / "run.csv") == 1
-    said, error = capsys.readouterr()
-    assert "  so far  torques: " in said and "held" not in said
+    output, error = capsys.readouterr()
+    assert "  so far  torques: " in output and "held" not in output
     assert re.search(r"sero-mj: lwr/\w\d at 0\.2\d+ s: found .* rad/s, more than 3 times", error)
     with Recording(out) as recording:
         count = recording.sources[SOURCE].count

@@ -221,7 +221,7 @@ def test_nan_of_a_user_controller_stops_the_run_with_joint_and_time() -> None:
         for rows in simulation.run(chunk=10):
             seen.append(rows)
     assert (caught.value.joint, caught.value.time) == ("lwr/A3", pytest.approx(0.0505, abs=6e-4))
-    assert caught.value.reason == "the controller asks for nan Nm; expected a finite number"
+    assert caught.value.reason == "the controller requested nan Nm; expected a finite number"
     assert simulation.step in (50, 51)
     assert seen[-1][1] == simulation.step + 1
     assert np.isfinite(simulation.log.of("lwr", "joint_angles")).all()

@@ -242,8 +242,8 @@ def test_robot_sets_the_number_of_joints_and_unknown_snippets_are_rejected(tmp_p
     )
     assert status == 0 and '#define SERO_HOST "10.1.2.3"' in text
     assert "#define SERO_JOINTS 3\n" in text  # the last of four is coupled
-    status, said = run_command(["new", "--snippet", "simulnik"], tmp_path, os.environ)
-    assert status == 2 and said == "sero-mj: no snippet 'simulnik'; did you mean 'simulink'?\n"
+    status, output = run_command(["new", "--snippet", "simulnik"], tmp_path, os.environ)
+    assert status == 2 and output == "sero-mj: no snippet 'simulnik'; did you mean 'simulink'?\n"
 
 
 @pytest.mark.parametrize("standard", ["c11", "c17", "gnu99", "gnu11"])

@@ -42,25 +42,25 @@ def test_expected_packets_are_shown_until_some_arrive() -> None:
     world = World(scene)
     decor, data, toggles = Decor(world), world.make_data(), Toggles(world)
 
-    def said() -> list[str]:
+    def shown_lines() -> list[str]:
         buffer = decor.draw(data, toggles, view_at())
         return [text for text in labels(buffer.rows[: buffer.count]) if "lwr: no data" not in text]
 
     set_source(data, world, "udp", received=0, size=112, age=-1)
-    assert said() == [
+    assert shown_lines() == [
         "no packet yet on UDP 127.0.0.1:32000",
         "  expected: packets of 112 bytes",
         "  test with: sero-mj send lwr_udp",
     ]
     toggles.status = False
-    assert said() == []
+    assert shown_lines() == []
     toggles.status = True
     # Errors of packets are shown instead.
     set_source(data, world, "udp", received=1, malformed=1, wrong_size=1, last_size=5, size=112,
                fault_age=0.1, age=-1)  # fmt: skip
-    assert said() == ["udp: 1 of 1 packets not applied", "  5 bytes, expected 112"]
+    assert shown_lines() == ["udp: 1 of 1 packets not applied", "  5 bytes, expected 112"]
     set_source(data, world, "udp", received=1, size=112)
-    assert said() == []
+    assert shown_lines() == []
 
 
 def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
@@ -76,7 +76,7 @@ def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("counts", "said"),
+    ("counts", "expected"),
     [
         ({"received": 9}, []),
         (
@@ -126,7 +126,7 @@ def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
     ],
 )  # fmt: skip
 def test_errors_of_a_source_are_shown_in_the_corner(
-    counts: dict[str, float], said: list[str]
+    counts: dict[str, float], expected: list[str]
 ) -> None:
     world = World(udp_scene())
     data = world.make_data()
@@ -134,7 +134,7 @@ def test_errors_of_a_source_are_shown_in_the_corner(
     view = view_at()
     buffer = Decor(world).draw(data, Toggles(world), view)
     rows = buffer.rows[: buffer.count]
-    assert labels(rows) == said
+    assert labels(rows) == expected
     for row in of_kind(rows, GEOM.mjGEOM_BOX):
         low, high = rectangle(view, row)
         assert low[0] >= 0 and high[1] <= view.height
@@ -233,11 +233,13 @@ def test_received_angles_in_degrees_are_detected() -> None:
     with Mirror(udp_scene()) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         source: Any = mirror.sources["udp"]
         decor = Decor(mirror.world)
-        for come, (angle, said) in enumerate([(1.0, []), (80.0, ["lwr.A2", "Is it in degrees?"])]):
+        for come, (angle, expected) in enumerate(
+            [(1.0, []), (80.0, ["lwr.A2", "Is it in degrees?"])]
+        ):
             values = {"values0": [0, angle, 0, 0, 0, 0, 0]}
             sender.sendto(layout.encode(values), ("127.0.0.1", source.port))
             assert until(lambda wanted=come + 1: source.counters.received == wanted)
             mirror.advance()
             buffer = decor.draw(mirror.data, Toggles(mirror.world), view_at())
             lines = labels(buffer.rows[: buffer.count])
-            assert [line.strip().split(":")[0] for line in lines] == said
+            assert [line.strip().split(":")[0] for line in lines] == expected

@@ -1,6 +1,6 @@
-"""The packet language, against Python's `struct` and against a recogniser of its own.
+"""The structure language, compared with Python's `struct` and with a reference recognizer.
 
-At the end every float32 goes through a socket; `test_matrices` sends whatever bytes there are.
+The last test sends every float32 through a socket; `test_matrices` sends arbitrary bytes.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ bit_patterns = st.one_of(
     st.integers(0, 2**64 - 1),
     st.sampled_from([0x7FF0000000000001, 0x7FF8000000000000, 0xFFF0000000000000, 1, 1 << 63]),
 )
-# What a tired typist writes, and digits that are none of ours.
+# Strings with typing errors, and digits that are not ASCII.
 almost_structures = st.text(alphabet="0123456789FFFVVMMTfdbBhHiIqQ?xvm ,\nX.-é٣²", max_size=12)
 
 
@@ -48,7 +48,7 @@ def length_of(items: Items) -> int:
 
 
 def places_of(items: Items, *, column_major: bool) -> dict[str, np.ndarray]:
-    """By event, for each of its elements, which number of the packet it is."""
+    """Returns the index in the packet of each number of each event."""
     places: dict[str, np.ndarray] = {}
     start = 0
     for k, (count, letter) in enumerate(items):
@@ -71,7 +71,7 @@ TYPE_BYTES = dict(zip("fdbBhHiIqQ?", (4, 8, 1, 1, 2, 2, 4, 4, 8, 8, 1), strict=T
 
 
 def recognise(text: str, number_bytes: int = 8) -> Items | int:
-    """The items, or the index of the first wrong character, by a regular expression.
+    """Returns the items, or the index of the first invalid character, by a regular expression.
 
     Knows no names, byte orders and constants.
     """
@@ -235,7 +235,7 @@ def test_maximum_packet_size_is_that_of_udp() -> None:
 
 @pytest.mark.parametrize("digits", [20, 4300, 5000])
 def test_count_with_thousands_of_digits_is_rejected(digits: int) -> None:
-    # Python itself refuses to turn more than 4300 digits into a number.
+    # Python does not convert more than 4300 digits to a number.
     with raises_with(StructureError, position=2, reason=TOO_LONG):
         Structure("1F" + "9" * digits + "F")
 
@@ -287,7 +287,7 @@ def test_doubles_are_decoded_bit_for_bit(
 
 
 def test_signaling_nan_is_decoded_without_a_warning() -> None:
-    packet = struct.pack("<I", 0x7F800001)  # numpy tells when it makes a quiet one of it
+    packet = struct.pack("<I", 0x7F800001)  # NumPy would warn when it converts a signaling NaN
     assert np.isnan(Structure("1F", is_double=False).decode(packet)["values0"]).all()
 
 

@@ -228,16 +228,20 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
     law = {"kind": "way_points", "way_points": [[2.5, 0, 0.7]], "times": [5.0]}
     first, second = refusal(law).splitlines()
     assert re.match(
-        r"joint A is to be at 143\.239 deg at t = 5\.\d+ s; expected -114\.6 to 114\.6 deg$", first
+        r"the target of joint A is 143\.239 deg at t = 5\.\d+ s; expected -114\.6 to 114\.6 deg$",
+        first,
     )
-    assert re.match(r"joint C is to be at 0\.7 m at t = 5\.\d+ s; expected -0.4 to 0.6 m$", second)
+    assert re.match(
+        r"the target of joint C is 0\.7 m at t = 5\.\d+ s; expected -0.4 to 0.6 m$", second
+    )
     law = {"kind": "way_points", "way_points": [[1.5, 0, 0]], "times": [1.0]}
     assert re.match(
-        r"joint A is to move at 161\.\d+ deg/s at t = 0\.5\d* s; expected up to 57\.3 deg/s$",
+        r"the target velocity of joint A is 161\.\d+ deg/s at t = 0\.5\d* s; "
+        r"expected up to 57\.3 deg/s$",
         refusal(law),
     )
     swing = {"kind": "sine", "amplitude": [0, 0, 0.3], "frequency": 1.0}
-    assert refusal(swing).endswith("at 1.88496 m/s at t = 1.000 s; expected up to 0.5 m/s")
+    assert refusal(swing).endswith("is 1.88496 m/s at t = 1.000 s; expected up to 0.5 m/s")
 
 
 @pytest.mark.parametrize(
@@ -261,7 +265,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]] * 2, "times": [2, 2]},
-            Problem("times", found=[2.0, 2.0], expected="times that rise"),
+            Problem("times", found=[2.0, 2.0], expected="ascending times"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [-1]},

@@ -233,7 +233,7 @@ def test_flange_as_stiff_as_the_elastic_joints_is_rejected() -> None:
     stiff = {**CARTESIAN, "stiffness": [20000.0, 20000, 20000, 500, 500, 500]}
     found = problems(stiff, True)
     assert (
-        "controllers.lwr.stiffness: is more than 80 % of what the elastic joints have at the "
+        "controllers.lwr.stiffness: is above 80 % of the stiffness of the elastic joints at the "
         "flange; expected at most" in found
     )
     most = float(found.rpartition("at most ")[2].partition(" %")[0]) / 100

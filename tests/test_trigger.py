@@ -290,16 +290,16 @@ def test_memory_holds_only_the_last_seconds(tmp_path: Path) -> None:
         for k in range(100):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
             made.wait_until_handled()
-        size = made.statistics.kept_bytes
+        size = made.statistics.buffer_bytes
     assert 1000 * LAYOUT.size < size < 4000 * (LAYOUT.size + 100)
-    assert made.statistics.forgotten == 0 and not made.events
+    assert made.statistics.evicted == 0 and not made.events
     # If the memory is smaller, the oldest packets are dropped and counted.
-    with recorder(tmp_path, before=60.0, kept_bytes=500_000) as made:
+    with recorder(tmp_path, before=60.0, buffer_bytes=500_000) as made:
         for k in range(20):
             made.take("udp", rows, lengths, k + np.arange(1000) / 1000)
             made.wait_until_handled()
-        assert made.statistics.kept_bytes < 700_000
-        assert made.statistics.forgotten > 15_000
+        assert made.statistics.buffer_bytes < 700_000
+        assert made.statistics.evicted > 15_000
         late = pad_packets([numbered(1, {0: 99})[0][0]], LAYOUT.size)
         made.take("udp", *late, np.array([20.0]))
     assert len(made.events) == 1 and made.events[0].packets > 1000

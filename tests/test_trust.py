@@ -550,16 +550,16 @@ def test_command_cannot_forge_output_lines(tmp_path, capsys):
 
 
 def test_failing_file_does_not_end_the_viewer():
-    said: list[tuple[str, bool]] = []
-    others = OtherScenes(lambda text, is_bad: said.append((text, is_bad)), lambda: None)
+    messages: list[tuple[str, bool]] = []
+    others = OtherScenes(lambda text, is_bad: messages.append((text, is_bad)), lambda: None)
 
     def fails(path: Path) -> Mirror:
         raise OSError(36, "File name too long")
 
     others.opener = fails
     assert not others.open_file(Path("a.toml"))
-    assert said[0][1]
-    assert "File name too long" in said[0][0]
+    assert messages[0][1]
+    assert "File name too long" in messages[0][0]
 
 
 def test_program_ends_with_the_view_of_its_run(tmp_path):

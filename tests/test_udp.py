@@ -1,4 +1,4 @@
-"""`UdpReceiver` on real sockets, fed by this process and by others."""
+"""`UdpReceiver` on real sockets, with senders in this process and in others."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
 
-# A robot in a process of its own, with an encoder that is not ours: packets 1 to COUNT, every
-# value the packet's number.
+# A separate process with its own encoder: packets 1 to COUNT, in which every value is the number
+# of the packet.
 ROBOT = """
 import socket, struct, sys, time
 port, count, values = map(int, sys.argv[1:])
 sock = socket.socket(type=socket.SOCK_DGRAM)
 for k in range(1, count + 1):
     sock.sendto(struct.pack(f"<{values}d", *[float(k)] * values), ("127.0.0.1", port))
-    time.sleep(1e-4)  # as robots do, not as fast as it can
+    time.sleep(1e-4)  # as a robot, not at the maximum rate
 """
 
 
@@ -56,9 +56,9 @@ Send = Callable[[UdpReceiver, bytes], object]
 
 
 def settle(receiver: UdpReceiver, send: Send, length: int = 1) -> bool:
-    """Sends a packet of a wrong length and waits until the receiver tells of it.
+    """Sends a packet of a wrong length and waits until the receiver reports it.
 
-    Packets are dealt with one after the other, so all that was sent before is dealt with then.
+    Packets are checked in order, so all earlier packets have been checked then.
     """
     send(receiver, bytes(length))
     fault = f"{length} bytes; expected {receiver.size}"
@@ -92,7 +92,7 @@ def test_latest_packet_is_returned_and_older_ones_count_as_superseded(sender: Se
         assert settle(receiver, sender, 1)
         assert values_of(receiver.latest()) == [3.0]
         assert receiver.counters.superseded == 2
-        assert receiver.latest() is receiver.latest()  # looking twice supersedes nothing
+        assert receiver.latest() is receiver.latest()  # a second call supersedes nothing
         assert receiver.counters.superseded == 2
         sender(receiver, doubles(4.0))
         assert settle(receiver, sender, 2)
@@ -103,7 +103,7 @@ def test_latest_packet_is_returned_and_older_ones_count_as_superseded(sender: Se
 
 def test_packets_of_another_process_arrive_complete_and_in_order(sender: Send) -> None:
     count = 1500
-    # A buffer for all of them: what the kernel drops would only make the test weaker.
+    # A buffer for all packets: dropped packets would weaken the test.
     with UdpReceiver(structure="7F7F", buffer_size=4_000_000) as receiver:
         command = [sys.executable, "-c", ROBOT, str(receiver.port), str(count), "14"]
         seen: list[int] = []
@@ -123,7 +123,7 @@ def test_packets_of_another_process_arrive_complete_and_in_order(sender: Send) -
         assert len(seen) > 1
         assert seen == sorted(set(seen))
         assert settle(receiver, sender)
-        # Every good packet was either looked at or superseded; the last one only ended the test.
+        # Every valid packet except the last one was either returned or superseded.
         assert receiver.counters.superseded == receiver.counters.received - 1 - len(seen)
 
 
@@ -154,7 +154,7 @@ def test_malformed_packet_is_counted_and_the_last_valid_one_remains(
         assert (counters.received, counters.malformed, getattr(counters, kind)) == (2, 1, 1)
         assert values_of(receiver.latest()) == [1.0, 2.0]
         assert values_of(receiver.latest(), "values1") == [3.0]
-        # It goes on afterwards, and a bad packet has no number.
+        # Reception continues, and malformed packets are not numbered.
         sender(receiver, doubles(4, 5, 6))
         assert settle(receiver, sender, 3)
         assert values_of(packet := receiver.latest()) == [4.0, 5.0]
@@ -162,9 +162,9 @@ def test_malformed_packet_is_counted_and_the_last_valid_one_remains(
 
 
 def adds_up(receiver: UdpReceiver, send: Send, sent: int) -> bool:
-    """Whether every packet sent was received or dropped; sends good ones until it is known.
+    """Returns whether every packet was received or dropped; sends valid packets until it is known.
 
-    Linux tells what it dropped, and that only with the packet that comes after.
+    Linux reports dropped packets only with the next packet.
     """
     counters = receiver.counters
     for total in range(sent + 1, sent + 26):
@@ -192,7 +192,7 @@ def test_larger_receive_buffer_drops_fewer_packets(
     take, go_on = Intake.take, threading.Event()
 
     def wait_and_take(self: Intake, *batch: Any) -> Any:
-        go_on.wait(10.0)  # the thread stands still until all packets are sent
+        go_on.wait(10.0)  # the thread waits until all packets are sent
         return take(self, *batch)
 
     monkeypatch.setattr(Intake, "take", wait_and_take)
@@ -208,7 +208,7 @@ def test_larger_receive_buffer_drops_fewer_packets(
 @pytest.mark.skipif(not LINUX, reason="127.0.0.2 is of this machine on Linux only")
 def test_default_host_is_loopback() -> None:
     with UdpReceiver(structure="1F") as receiver, socket.socket(type=socket.SOCK_DGRAM) as sock:
-        sock.bind(("127.0.0.2", receiver.port))  # free, as are the addresses of the network
+        sock.bind(("127.0.0.2", receiver.port))  # free, because the receiver uses only 127.0.0.1
     everywhere = UdpReceiver(structure="1F", host="0.0.0.0")
     with everywhere, socket.socket(type=socket.SOCK_DGRAM) as sock, pytest.raises(OSError):
         sock.bind(("127.0.0.2", everywhere.port))
@@ -227,7 +227,7 @@ def test_port_in_use_is_reported_with_number_and_host() -> None:
         assert not threads_of("second")
         second.close()
         port = first.port
-    with second:  # now that the port is free
+    with second:  # the port is free now
         assert second.port == port
 
 
@@ -246,10 +246,10 @@ def test_address_of_another_machine_is_reported(host: str) -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"host": ""}, "host: found ''"),  # to the system it means every interface
+        ({"host": ""}, "host: found ''"),  # the system would use all interfaces
         ({"host": "a\0b"}, "not an address"),
         ({"host": "x" * 70}, "not an address"),
-        ({"buffer_size": 2**31}, "buffer_size: found 2147483648"),  # more than setsockopt takes
+        ({"buffer_size": 2**31}, "buffer_size: found 2147483648"),  # beyond the range of setsockopt
     ],
 )
 def test_invalid_socket_options_are_rejected_without_a_leak(
@@ -257,7 +257,7 @@ def test_invalid_socket_options_are_rejected_without_a_leak(
 ) -> None:
     with pytest.raises(SeroError, match=message), UdpReceiver(structure="1F", **fields):
         pass
-    gc.collect()  # a socket left open would warn here
+    gc.collect()  # an open socket would cause a warning
 
 
 def test_receiver_listens_on_ipv6() -> None:
@@ -288,7 +288,7 @@ def test_missing_ipv6_support_is_reported(monkeypatch: pytest.MonkeyPatch) -> No
 
 def test_close_ends_the_thread_and_frees_the_port() -> None:
     receiver = UdpReceiver(structure="1F", name="closing")
-    receiver.close()  # before it is open: harmless
+    receiver.close()  # has no effect before open
     receiver.open()
     port = receiver.port
     assert len(threads_of("closing")) == 1
@@ -306,7 +306,7 @@ def test_close_returns_during_an_uninterrupted_stream(
     take, pouring = Intake.take, True
 
     def take_and_pour(self: Intake, rows: np.ndarray, *others: Any) -> Any:
-        # The next packet is there before this one is dealt with: the socket is never empty.
+        # The next packet arrives before this one is checked, so the socket is never empty.
         if pouring:
             sender(receiver, rows[0, :8].tobytes())
         return take(self, rows, *others)
@@ -318,7 +318,7 @@ def test_close_returns_during_an_uninterrupted_stream(
     (closing := threading.Thread(target=receiver.close, daemon=True)).start()
     closing.join(2.0)
     closed = not closing.is_alive()
-    pouring = False  # or the thread would outlive the test
+    pouring = False  # otherwise, the thread would outlive the test
     closing.join()
     assert closed, "close() waits for a pause between packets"
 
@@ -344,4 +344,4 @@ def test_opening_an_open_receiver_leaks_no_thread() -> None:
         receiver.open()
     receiver.close()
     assert not threads_of("twice")
-    gc.collect()  # a socket left open would warn here
+    gc.collect()  # an open socket would cause a warning

@@ -1,4 +1,4 @@
-"""`UdpReceiver` where no packet may be lost, and where packets are numbered and stamped."""
+"""`UdpReceiver` without losses, and with sequence numbers and time stamps."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from sero_mj.data.receive.udp import UdpReceiver
 
 LINUX = sys.platform == "linux"
 NUMBERED = "number:1H 1F"
-# Another process that sends COUNT numbered packets, as fast as the reader can take them.
+# A separate process that sends COUNT numbered packets at about the maximum rate of the reader.
 FLOOD = """
 import socket, struct, sys, time
 port, count = map(int, sys.argv[1:])
@@ -98,7 +98,7 @@ def test_lossless_receiver_returns_all_packets_in_order() -> None:
         got = np.concatenate(taken)
         assert (np.diff(got) > 0).all()
         assert len(got) == count - receiver.counters.dropped
-        assert receiver.counters.dropped == 0  # with the buffer that it asks for
+        assert receiver.counters.dropped == 0  # with the default buffer
         assert receiver.counters.superseded == receiver.counters.lost == 0
         assert receiver.receive_trigger == count
 
@@ -109,7 +109,7 @@ def test_take_returns_each_packet_once(send: Send) -> None:
             assert receiver.take() is None
             send(receiver, 1, 2, 3)
             assert settled(receiver, 3)
-            assert receiver.latest().values["values0"].tolist() == [3.0]  # looking takes nothing
+            assert receiver.latest().values["values0"].tolist() == [3.0]  # `latest` takes nothing
             assert numbers_of(receiver) == expected
             assert receiver.take() is None
             assert receiver.counters.superseded == (0 if lossless else 2)
@@ -146,7 +146,7 @@ def test_close_does_not_wait_for_a_consumer(send: Send, monkeypatch: pytest.Monk
     assert not closing.is_alive()
 
 
-@pytest.mark.parametrize("start", [5, 65_530])  # the second wraps on the way
+@pytest.mark.parametrize("start", [5, 65_530])  # the second one wraps to 0
 def test_sequence_numbers_show_lost_late_and_duplicate_packets(send: Send, start: int) -> None:
     with UdpReceiver(structure=NUMBERED, sequence="number", only_latest_packet=False) as receiver:
         offsets = [0, 1, 2, 5, 6, 4, 6, 7, 20]
@@ -155,7 +155,7 @@ def test_sequence_numbers_show_lost_late_and_duplicate_packets(send: Send, start
         counters = receiver.counters
         assert (counters.lost, counters.late, counters.duplicates) == (1 + 12, 1, 1)
         assert counters.restarts == 0
-        # Nothing that the kernel delivered is lost, but what was there already is not new.
+        # All delivered packets are returned, except duplicates.
         assert numbers_of(receiver) == [start + k for k in (0, 1, 2, 5, 6, 4, 7, 20)]
 
 
@@ -219,16 +219,16 @@ def test_debug_level_selects_log_messages(
     caplog.set_level(logging.INFO)
     with UdpReceiver(structure=NUMBERED, sequence="number", debug_level=level) as receiver:
         with socket.socket(type=socket.SOCK_DGRAM) as sock:
-            for k in range(3):  # a flood is told once
+            for k in range(3):  # repeated faults are logged once
                 sock.sendto(b"x", ("127.0.0.1", receiver.port))
                 assert settled(receiver, k + 1)
         send(receiver, 1)
         assert settled(receiver, 4)
         send(receiver, 5)
         assert settled(receiver, 5)
-    told = [text for text in caplog.messages if "0 valid" not in text]
-    assert len(told) == len(expected), told
-    for text, part in zip(told, expected, strict=True):
+    reported = [text for text in caplog.messages if "0 valid" not in text]
+    assert len(reported) == len(expected), reported
+    for text, part in zip(reported, expected, strict=True):
         assert text.startswith("source 'udp': ") and part in text
 
 

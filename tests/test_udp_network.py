@@ -1,4 +1,4 @@
-"""`UdpReceiver` on networks: groups, IPv6, senders by name; and reading without recvmmsg."""
+"""`UdpReceiver` on networks: multicast groups, IPv6, declared senders, and no recvmmsg."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def test_ten_concurrent_senders_are_tracked_separately() -> None:
         socks = [stack.enter_context(socket.socket(type=socket.SOCK_DGRAM)) for _ in range(10)]
         for k in range(50):
             for i, sock in enumerate(socks):
-                if (k, i) != (20, 3):  # one that is lost
+                if (k, i) != (20, 3):  # one lost packet
                     sock.sendto(struct.pack("<Hd", 1000 * i + k, i), ("127.0.0.1", receiver.port))
         assert until(lambda: receiver.counters.received == 499)
         counters = receiver.counters
@@ -186,7 +186,7 @@ def test_more_packets_than_a_batch_are_read_in_several_batches() -> None:
 
 @pytest.fixture
 def six() -> Iterator[socket.socket]:
-    """A sender on the loopback of IPv6."""
+    """A sender on the IPv6 loopback."""
     with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sock:
         try:
             sock.bind(("::1", 0))
@@ -284,7 +284,7 @@ def test_answer_reaches_the_sender(
             reader.send(b"answer to " + data[:length], sender)
 
         reader.on_arrival = answer
-        to = "127.0.0.1" if host == "::" else host  # a socket for both hears IPv4
+        to = "127.0.0.1" if host == "::" else host  # a dual-stack socket receives IPv4
         with socket.socket(socket.AF_INET6 if ":" in to else socket.AF_INET, sock.type) as other:
             other.settimeout(5.0)
             for data in (b"one", b"two"):

@@ -192,9 +192,9 @@ def test_billboards_do_not_overlap_and_point_at_their_arrows() -> None:
 
 
 @pytest.mark.parametrize(
-    ("age", "said"), [(0.1, []), (-1.0, ["  no data yet"]), (12.3, ["  no data for 12.3 s"])]
+    ("age", "expected"), [(0.1, []), (-1.0, ["  no data yet"]), (12.3, ["  no data for 12.3 s"])]
 )
-def test_billboard_shows_the_age_of_its_data(age: float, said: list[str]) -> None:
+def test_billboard_shows_the_age_of_its_data(age: float, expected: list[str]) -> None:
     world = world_with(
         SmartArrow(name="push", at="lwr/flange", vector=VECTOR),
         SmartArrow(name="declared", at="lwr/base", vector=VECTOR),
@@ -204,7 +204,7 @@ def test_billboard_shows_the_age_of_its_data(age: float, said: list[str]) -> Non
     data = world.make_data()
     set_source(data, world, "udp", received=5, age=age, size=24)
     buffer = draw(world, data)
-    assert card_texts(buffer)[6:] == said
+    assert card_texts(buffer)[6:] == expected
     assert len(card_texts(buffer, 1)) == 6
 
 
@@ -213,7 +213,7 @@ def scales(buffer) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("fields", "said"),
+    ("fields", "expected"),
     [
         ({"kind": "force"}, "v: 80 mm long = 20 N"),
         ({"kind": "torque"}, "v: 100 mm wide = 20 Nm"),
@@ -223,10 +223,10 @@ def scales(buffer) -> list[str]:
         ({"kind": "torque", "scale": 2.5}, "v: 50 mm wide = 0.02 Nm"),
     ],
 )
-def test_legend_states_the_scale(fields, said: str) -> None:
+def test_legend_states_the_scale(fields, expected: str) -> None:
     world = world_with(SmartArrow(name="v", at="lwr/flange", vector=VECTOR, **fields))
     buffer = draw(world, cards=False, legend=True)
-    assert scales(buffer) == [said]
+    assert scales(buffer) == [expected]
     view = view_at()
     rows = buffer.rows[: buffer.count]
     (panel,) = [row for row in rows if row["emission"] == 1 and row["type"] == 6]

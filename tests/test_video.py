@@ -273,10 +273,10 @@ def test_image_shows_the_received_pose(tmp_path) -> None:
     ],
 )
 def test_invalid_videos_are_rejected(tmp_path, name, options, error) -> None:
-    told = {"found": ".avi", "expected": "a name that ends in .mp4, .webm, .gif"}
+    expected = {"found": ".avi", "expected": "a name that ends in .mp4, .webm, .gif"}
     for key, value in options.items():
-        told = {"key": key, "found": value, "expected": "a number above 0"}
-    with raises_with(error, **told):
+        expected = {"key": key, "found": value, "expected": "a number above 0"}
+    with raises_with(error, **expected):
         render_video(udp_scene(0), tmp_path / name, **options)
     assert list(tmp_path.iterdir()) == []
 

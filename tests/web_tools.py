@@ -1,4 +1,4 @@
-"""Serves pages from a process of their own, and works them in Chromium as a user does."""
+"""Serves pages from a separate process, and controls them in Chromium like a user."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from PIL import Image
 
 POSE = "lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0"
 TORQUES = "lwr.torques=20,60,-30,40,-9,5,3"
-FEW = 60  # pixels of an arrow, at least
-SIZE = (560, 400)  # small: software draws a few such pictures a second
+FEW = 60  # minimum number of pixels of an arrow
+SIZE = (560, 400)  # small: software renders a few such images per second
 _SCALE = 0.5  # pixels of pictures by those of pages, likewise
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
 MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
-# A browser that draws without a GPU, and finds the websites of tests.
+# A browser that draws without a GPU and resolves the websites of tests.
 ARGUMENTS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -32,7 +32,7 @@ ARGUMENTS = [
     "--no-sandbox",
     "--host-resolver-rules=MAP *.example 127.0.0.1",
 ]
-# Serves frames, and answers what is asked about the page on its standard input.
+# Serves frames, and answers questions about the page on its standard input.
 _PROGRAM = """
 from sero_mj.cli.arguments import read_scene, replay_instead
 from sero_mj.data.drive.mirror import Mirror
@@ -80,7 +80,7 @@ class Served(Driver):
         self.visitors: list[Visitor] = []
 
     def close(self) -> None:
-        """Ends it; pages that look at it would look at the next one on its port."""
+        """Ends the server; open pages would otherwise connect to the next one on its port."""
         for visitor in self.visitors:
             visitor.page.close()
         super().close()
@@ -124,28 +124,28 @@ class Visitor:
             "document.documentElement.dataset.ready === '1' && player.state && player.now.control"
         )
         served.visitors.append(self)
-        if served.ask("w.has_timeline"):  # which takes room from the picture
+        if served.ask("w.has_timeline"):  # which takes space from the image
             self.until("!document.getElementById('timeline').hidden")
         if self.page.evaluate("player.isInControl"):
             self.has_told_its_size()
 
     def until(self, expression: str) -> None:
-        """Waits until an expression of the page is true, and what it has is drawn."""
+        """Waits until an expression of the page is true and its values are drawn."""
         self.page.wait_for_function(
             f"() => ({expression}) && !player.view.isDirty", timeout=60_000, polling=50
         )
 
     def has_told_its_size(self) -> None:
-        """Waits until the server has the size of the picture, on which places in it depend."""
+        """Waits until the server knows the image size, on which pixel positions depend."""
         told = self.page.evaluate("(({ size }) => [size.width, size.height])(player.stage)")
         self._served.until(f"[*w.view.size] == {told}")
 
     def sees_camera(self) -> None:
-        """Waits until it sees what the server's camera does."""
+        """Waits until the page shows the server's camera."""
         self.until(f"player.serial >= {self._served.ask('w.view._serial')}")
 
     def joint(self, index: int) -> tuple[float, float]:
-        """Where a joint of the world is on the page, pixels from the upper left corner."""
+        """Returns the pixel of a joint of the world on the page, from the upper left corner."""
         x, y = self.page.evaluate(
             """joint => {
                 const { x, y } = player.stage.pixel(player.stage.centre(joint));
@@ -157,7 +157,7 @@ class Visitor:
         return x, y
 
     def finger(self, x: float, y: float) -> Callable[..., None]:
-        """Touches a page: the kind of event, and how far right of a pixel each finger is."""
+        """Touches a page: the kind of event, and how far each finger is to the right of a pixel."""
         send = self.page.context.new_cdp_session(self.page).send
 
         def touch(kind: str, *offsets: float) -> None:
@@ -167,34 +167,34 @@ class Visitor:
         return touch
 
     def picture(self) -> NDArray[np.int16]:
-        """What is seen, (height / 2, width / 2, 3)."""
+        """Returns the visible image, (height / 2, width / 2, 3)."""
         png = self.page.screenshot(timeout=60_000)
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
 
     def shows(self, what: Callable[[NDArray[np.int16]], Any], seconds: float = 60.0) -> None:
-        """Waits until something is seen in the picture."""
+        """Waits until something is visible in the image."""
         end = time.monotonic() + seconds
         while not what(self.picture()):
             assert time.monotonic() < end, f"never seen: {what}; {self.faults[-5:]}"
 
     def close(self) -> None:
-        """Leaves the page, on which nothing must have gone wrong."""
+        """Leaves the page, on which no error may have occurred."""
         self.page.close()
         assert self.faults == []
 
 
 def orange(pixels: NDArray[np.int16]) -> int:
-    """How many pixels of the page have the colour of arrows of positive values."""
+    """Returns how many pixels of the page have the color of positive arrows."""
     red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
     return on_page((red > 170) & (green > 60) & (green < 150) & (blue < 60))
 
 
 def blue(pixels: NDArray[np.int16]) -> int:
-    """How many pixels of the page have the colour of arrows of negative values."""
+    """Returns how many pixels of the page have the color of negative arrows."""
     red, green, blue_ = pixels[..., 0], pixels[..., 1], pixels[..., 2]
     return on_page((blue_ > 120) & (red < 60) & (green < 110))
 
 
 def on_page(mask: NDArray[np.bool_]) -> int:
-    """How many pixels of the page those of a picture are."""
+    """Returns how many pixels of the page correspond to those of an image."""
     return round(mask.sum() / _SCALE**2)

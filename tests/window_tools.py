@@ -1,4 +1,4 @@
-"""Opens real windows on a screen of their own (Xvfb), and works them as a user does (xdotool)."""
+"""Opens real windows on a virtual screen (Xvfb) and controls them like a user (xdotool)."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from sero_mj.viewer.session.input import DOUBLE_CLICK_TIME
 SIZE = (640, 480)
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 
-# Shows frames, and answers what is asked about the window on its standard input. Of frames that
-# nobody keeps every sixth is drawn, and quickly: software takes 80 ms of processor for a whole one.
+# Shows frames, and answers questions about the window on its standard input. Of frames that are not
+# used, every sixth is drawn, in draft quality: software needs 80 ms of CPU time for a full one.
 _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
@@ -79,7 +79,7 @@ print("closed", flush=True)
 
 @contextmanager
 def screen(size: tuple[int, int] = (1000, 700)) -> Iterator[str]:
-    """A screen of so many pixels without a monitor; yields its DISPLAY."""
+    """Starts a virtual screen of this size in pixels and yields its DISPLAY."""
     read, write = os.pipe()
     server = subprocess.Popen(
         ["Xvfb", "-displayfd", str(write), "-screen", "0", f"{size[0]}x{size[1]}x24",
@@ -116,14 +116,14 @@ class Driven(Driver):
     ) -> None:
         self._environment = {**os.environ, "DISPLAY": display}
         self._environment.pop("WAYLAND_DISPLAY", None)
-        self._pressed = 0.0  # when a button was, at last
+        self._pressed = 0.0  # time of the last button press
         arguments = [scene, list(settings), list(SIZE), options, replay, control]
         super().__init__(_DRIVER, arguments, folder, self._environment, errors)
 
     def tool(self, *arguments: object) -> None:
-        """Moves, clicks and types: `xdotool` with these arguments.
+        """Runs `xdotool` with these arguments to move, click and type.
 
-        A press is never the second one of a double click with that of an earlier call.
+        A press never becomes the second one of a double click with an earlier call.
         """
         is_press = "click" in arguments or "mousedown" in arguments
         if is_press:
@@ -149,12 +149,12 @@ class Driven(Driver):
         return (left + right) / 2, (top + bottom) / 2
 
     def on_time_line(self, share: float) -> tuple[int, int]:
-        """Where so much of the time line's length is, from the upper left corner."""
+        """Returns the position of a fraction of the timeline, from the upper left corner."""
         left, top, right, bottom = self.until("places.get('##time')")
-        end = 6.5  # half of the knob and what is beside it
+        end = 6.5  # half of the knob and the space beside it
         return round(left + end + share * (right - left - 2 * end)), round((top + bottom) / 2)
 
     def settle(self) -> None:
-        """Waits until frames were shown: the first takes what the user did."""
+        """Waits until frames were shown: the first one processes the user's input."""
         frames = self.ask("frames")
         self.until(f"frames >= {frames} + 3")

@@ -35,7 +35,7 @@ def opened(port: int, mode: str) -> Any:
 
 
 def attached(number: int, gid: bytes) -> bytes:
-    """What rmw_zenoh attaches to message `number`, by the format of zenoh's serialization."""
+    """Returns the attachment of rmw_zenoh to message `number`, in zenoh's serialization format."""
     parts = ("sequence_number", number), ("source_timestamp", time.time_ns())
     begin = b"".join(
         bytes([len(name)]) + name.encode() + struct.pack("<q", value) for name, value in parts

@@ -297,7 +297,7 @@ def replay_instead(
             reason = f"scene '{scene.name}' has its own sources ({own}), which are replayed by name"
             raise UsageError(f"--source {source}: {reason}. Leave out --source.")
         look_into(file).choose_source(source)
-    led = look_into(file).lead(scene, source)
+    led = look_into(file).move_robot(scene, source)
     scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
     recording = look_into(file, topics_of(scene))
     recorded = {name: list(source.events) for name, source in recording.sources.items()}

@@ -203,9 +203,9 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     from ..robots.assemble.robot_dynamics import (
         about_large_inertias,
         about_masses,
+        about_units,
         robot_dynamics,
     )
-    from ..robots.assemble.unit_checks import about_units
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
     lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))

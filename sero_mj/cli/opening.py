@@ -34,11 +34,6 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     shown in the scene of the recorded name: a recent one, one in the same folder, a shipped one, or
     the one that is stored in the recording.
 
-    Args:
-        path: the file.
-        shown: name or file of the current scene, if any.
-        source: recorded source that moves the robot.
-
     Raises:
         SeroError: the file does not exist, or no scene shows the recording.
     """

@@ -226,7 +226,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
         f"{many} in {found.packets} packets"
         + (f"; {recorded} packets recorded" if found.events else "")
         + (f"; {missed} packets arrived too fast to be checked" if missed else "")
-        + (f"; {found.forgotten} packets before events exceeded memory" if found.forgotten else "")
+        + (f"; {found.evicted} packets before events exceeded memory" if found.evicted else "")
     )
     return _status(found)
 

@@ -73,7 +73,7 @@ class BatchSetup:
     def robot_model(self, robot: SerialRobot) -> RobotModel:
         """Returns a new model of a robot; a torque loop changes its apparent motor inertias."""
         if self.drives is not None and robot.name in self.drives.gains:
-            robot = self.drives.gains[robot.name].felt(robot)
+            robot = self.drives.gains[robot.name].shaped(robot)
         return self.compiler.robot_model(robot, self._run.gravity)
 
     def models(self, robots: Sequence[SerialRobot], rows: Sequence[int]) -> RobotModels:

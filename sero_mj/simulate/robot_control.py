@@ -124,14 +124,14 @@ class ControlledRobot:
                 (n, n) each. The last two are the slopes by which torques decrease with angles and
                 velocities, without limits. Gravity compensation is left out: only the restoring
                 part of the stiffness counts. Both are zero if the controller must not be called
-                outside of a run (`may_be_asked`).
+                outside of a run (`may_be_probed`).
         """
         n, model = len(angles), self.model()
         slopes: Array = np.zeros((2, n, n))
         model.update(angles, np.zeros(n))
         mass = model.mass() - np.diag(model.motor_inertia)
         declared = self.declared
-        if isinstance(declared, ControllerDeclaration) and declared.may_be_asked:
+        if isinstance(declared, ControllerDeclaration) and declared.may_be_probed:
             controller = declared.make(self.model(), self._timestep)
             sensed, target, torques = Sensed(n), Target(n), np.zeros((2, n))
             target.angles[:] = target.posture[:] = angles

@@ -154,12 +154,8 @@ def align(
 
     Values are interpolated linearly, except across gaps.
 
-    Args:
-        a: first run.
-        b: second run.
-        robot: name of the robot, or `NAME,NAME` for different names in `a` and `b`; None for the
-            only common robot.
-        offset: offset to add to the times of `b`, s; `auto` estimates it from joint velocities.
+    `robot` is a name, `NAME,NAME` for different names in `a` and `b`, or None for the only common
+    robot. `offset` (s) is added to the times of `b`; `auto` estimates it from joint velocities.
 
     Raises:
         UsageError: there is no such robot, or the runs do not overlap.

@@ -15,8 +15,7 @@ from polling import until
 from sero_mj import FrankaReceiver, RtdeReceiver
 from sero_mj.data.receive import connecting, receiving_thread
 from sero_mj.data.receive.receiving_thread import Closing
-from sero_mj.data.receive.routed_joints import RoutedJoint
-from sero_mj.data.receive.source import Source
+from sero_mj.data.receive.source import RoutedJoint, Source
 from sero_mj.extensions.ros.foxglove import Foxglove
 from sero_mj.extensions.ros.zenoh import Zenoh
 

@@ -71,7 +71,7 @@ class TwoReceiver(UdpReceiver):
 class TwoClient(ControllerDeclaration):
     """A client that commands torques. `patience` is the maximum time to wait for it, s."""
 
-    may_be_asked: ClassVar[bool] = False
+    may_be_probed: ClassVar[bool] = False
     logged: ClassVar[tuple[str, ...]] = ("answered",)
 
     kind: Literal["two"] = "two"

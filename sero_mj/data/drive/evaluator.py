@@ -82,7 +82,7 @@ class Evaluator:
                 join = np.logical_and if isinstance(joint, ast.And) else np.logical_or
                 result = self.truth(parts[0])
                 for before, part in pairwise(parts):
-                    at = self._expression.behind(before)
+                    at = self._expression.operator_after(before)
                     result = self._joined(at, join, result, self.truth(part))
                 return result
             case ast.UnaryOp(op=ast.Not(), operand=inner):
@@ -123,7 +123,7 @@ class Evaluator:
         rows = [_rows_of(value) for value in (left, right)]
         for each in rows:
             self._refuse_frames(node, each)
-        self._joined(self._expression.behind(node), operator.add, *rows)
+        self._joined(self._expression.operator_after(node), operator.add, *rows)
 
     def _operand(self, node: ast.expr) -> Rows:
         if isinstance(node, ast.List):
@@ -148,7 +148,7 @@ class Evaluator:
         self._refuse(node, "expected numbers; use and, or to combine comparisons")
 
     def _calculate(self, node: ast.BinOp, left: Rows, right: Rows) -> Rows:
-        at = self._expression.behind(node.left)
+        at = self._expression.operator_after(node.left)
         sign = self._expression.words[at].text
         if left.is_frames or right.is_frames:
             return self._scaled_frames(at, sign, left, right)
@@ -160,7 +160,7 @@ class Evaluator:
             np.broadcast(left, right)
         except ValueError:
             many = " and ".join(amount(each.values.shape[1:]) for each in (a, b))
-            reason = f"expected the same number on both sides; found {many}"
+            reason = f"expected equal sizes on both sides; found {many}"
             self._expression.refuse(at, reason, len(self._expression.words[at].text))
         try:
             values = function(left, right)
@@ -180,8 +180,8 @@ class Evaluator:
             self._expression.refuse(at, reason)
         factor = factor if sign == "*" else Number(1.0) / factor
         entries = frames.values.copy()
-        given = any(any(entry.unit) for entry in entries[..., :3, 3].flat)
-        if any(factor.unit) and (given or factor.unit != LENGTH):
+        has_unit = any(any(entry.unit) for entry in entries[..., :3, 3].flat)
+        if any(factor.unit) and (has_unit or factor.unit != LENGTH):
             reason = f"expected a length as the factor of frames; found {describe(factor.unit)}"
             self._expression.refuse(at, reason)
         entries[..., :3, 3] *= factor
@@ -193,7 +193,7 @@ class Evaluator:
         result: Rows | None = None
         for k in range(len(node.ops)):
             a, b = sides[k], sides[k + 1]
-            at = self._expression.behind(nodes[k])
+            at = self._expression.operator_after(nodes[k])
             sign = self._expression.words[at].text
             one = self._joined(at, COMPARISONS[sign], a, b)
             left, right = _same_rank(a.values, b.values)
@@ -207,7 +207,7 @@ class Evaluator:
 
     def _pick(self, node: ast.Subscript, found: Rows) -> Rows:
         values, name = found.values, self._expression.text_of(node.value)
-        bracket = self._expression.behind(node.value)
+        bracket = self._expression.operator_after(node.value)
         if values.ndim < 2:
             self._expression.refuse(bracket, f"{name} is a single number, which has no index")
         if found.is_frames and values.ndim == 3:
@@ -274,7 +274,7 @@ def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Va
     parts: dict[int, tuple[Value, slice]] = {}  # id of a node to its value and numbers
 
     def find(node: ast.expr) -> Rows | None:
-        """Collects the largest nodes that are linear in received numbers and so have units."""
+        # Collects the largest nodes that are linear in received numbers, and therefore have units.
         try:
             value = _value_of(of_route.numbers(node))
         except RouteError:
@@ -287,7 +287,7 @@ def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Va
         parts[id(node)] = value, slice(first, first + value.entries.size)
         return Rows(np.zeros((1, *value.shape)))
 
-    def given(numbers: Array) -> Leaf:
+    def leaf_of(numbers: Array) -> Leaf:
         def leaf(node: ast.expr) -> Rows | None:
             if id(node) not in parts:
                 return None
@@ -306,7 +306,7 @@ def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Va
     compared = _finite(joined([value for value, _ in parts.values()]), expression, names)
 
     def truths(numbers: Array) -> Any:
-        return Evaluator(expression, given(numbers)).truth(expression.tree).values
+        return Evaluator(expression, leaf_of(numbers)).truth(expression.tree).values
 
     return compared, Condition(truths)
 

@@ -62,7 +62,7 @@ class Expression:
         last = self.words[word_after(node) - 1]
         return self.text[self.words[first_word(node)].at : last.at + len(last.text)]
 
-    def behind(self, node: ast.expr) -> int:
+    def operator_after(self, node: ast.expr) -> int:
         """Returns the index of the operator after an operand and its brackets."""
         at = word_after(node)
         while self.words[at].text == ")":
@@ -82,8 +82,8 @@ def parse(text: str) -> Expression:
         reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
         raise RouteError(text, word.at, reason, len(word.text))
     functions = [
-        word.kind == "name" and behind.text == "(" and word.text not in JOINING
-        for word, behind in pairwise([*words, Token("end", "", len(text))])
+        word.kind == "name" and following.text == "(" and word.text not in JOINING
+        for word, following in pairwise([*words, Token("end", "", len(text))])
     ]
     for word, is_function in zip(words, functions, strict=True):
         if is_function and word.text not in FUNCTIONS:

@@ -92,7 +92,7 @@ class Mirror:
         self._started = time.monotonic()
 
     def open(self) -> None:
-        """Opens all sources; raises SourceError, and then closes those that it has opened."""
+        """Opens all sources; if this fails, closes all of them and raises SourceError."""
         self._latest.clear()
         self._states.forget()
         self._velocities.forget()

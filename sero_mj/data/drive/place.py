@@ -8,13 +8,13 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints, frame, inverse, rotation_from_quat
+from ...robots.assemble.mjcf import limb_bodies
 from ...robots.assemble.parts import DoublePart, RobotPart
 from ...robots.assemble.world_view import SET_BY_SOURCE, WorldView
 from ...robots.declared.cartesian import WORLD
 from ...robots.declared.double import OUT_OF_SIGHT, fade_in
 from ...robots.declared.inputs import BLANKABLE, frame_of_numbers
 from ...robots.declared.mounts import mount_pose
-from .limbs import Limbs
 from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
@@ -38,7 +38,7 @@ class Placer:
         placing = [route for route in wiring.frame_routes if route.to.key != "flange_check"]
         self._routes = {route.to.name: route for route in placing}
         self._checks = [route for route in wiring.frame_routes if route not in placing]
-        self._limbs = Limbs(world)
+        self._limbs = _Limbs(world)
         later = {name for level in self._levels for name in level}
         self._at_once = [name for name in world.scene.frames if name not in later]
 
@@ -255,3 +255,53 @@ class _InputWriter:
         else:
             data.userdata[self._slot] = values
         data.userdata[self._flag] = SET_BY_SOURCE
+
+
+class _Limbs:
+    def __init__(self, world: WorldView) -> None:
+        self._world = world
+        self._limbs = [
+            (item, [int(world.model.body(name).mocapid[0]) for name in limb_bodies(item.name)])
+            for item in world.scene.objects
+            if item.shape == "limb" and world.has_sites  # external models have no sites
+        ]
+        self.are_any = bool(self._limbs)
+
+    def place(self, data: mujoco.MjData) -> None:
+        # A limb is hidden if its frame is hidden.
+        mujoco.mj_kinematics(self._world.model, data)
+        for item, bodies in self._limbs:
+            assert item.size is not None and item.reaches is not None  # checked by Object
+            end = self._world.frame(data, item.reaches)[:3] @ [*item.end, 1.0]
+            begin, towards = item.frame[:3, 3], item.frame[:3, 0]
+            joint = middle_joint(begin, end, (item.size[0], item.size[1]), towards)
+            is_hidden = end[2] < OUT_OF_SIGHT[2] / 2
+            for body, start, along in (
+                (bodies[0], begin, joint - begin),
+                (bodies[1], joint, end - joint),
+            ):
+                data.mocap_pos[body] = OUT_OF_SIGHT if is_hidden else start
+                mujoco.mju_quatZ2Vec(data.mocap_quat[body], along)
+
+
+def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
+    """Returns the position of the joint between two links of a limb, (3,), m.
+
+    Args:
+        begin: begin of the first link, (3,), m.
+        end: end of the second link, (3,), m. If it is out of reach, the links are stretched or
+            folded.
+        lengths: lengths of the links, m.
+        towards: direction to which the joint bends, (3,).
+    """
+    first, second = lengths
+    along = end - begin
+    distance = float(np.linalg.norm(along))
+    along = along / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+    side = towards - (towards @ along) * along
+    if np.linalg.norm(side) < 1e-9:  # any direction, if it is parallel to the limb
+        side = np.cross(along, np.eye(3)[np.abs(along).argmin()])
+    reached = float(np.clip(distance, max(abs(first - second), 1e-9), first + second))
+    share = (reached**2 + first**2 - second**2) / (2 * reached)
+    height = np.sqrt(max(first**2 - share**2, 0.0))
+    return np.asarray(begin + share * along + height * side / np.linalg.norm(side))

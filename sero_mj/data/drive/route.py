@@ -19,7 +19,7 @@ from ..receive.source import SIGNALS
 
 
 class Origin(NamedTuple):
-    """The origin of numbers: an event of a source, or an output (input) of a robot."""
+    """The origin of numbers: an event of a source, or an input of a robot that routes read."""
 
     name: str
     key: str
@@ -158,12 +158,12 @@ class Route:
 
     @property
     def sources(self) -> list[str]:
-        """Names of the sources that it reads."""
+        """Names of the sources that the route reads."""
         return list(dict.fromkeys(o.name for o in self.value.origins if o.is_event))
 
     @property
     def outputs(self) -> list[str]:
-        """Outputs of robots, doubles and arrows that it reads, as `name.key`."""
+        """Outputs of robots, doubles and arrows that the route reads, as `name.key`."""
         return [str(origin) for origin in self.value.origins if not origin.is_event]
 
     @property

@@ -17,7 +17,6 @@ from ...base.errors import (
     UnknownName,
     collect,
     did_you_mean,
-    mismatch,
     nearest,
     problems_of,
 )
@@ -67,7 +66,8 @@ class RouteChecker:
         dot = "" if f"{name}.{limb}" in self._inputs else dot  # lwr.torques.0 is not a limb
         parts = parts_of_origin(origin)
         if dot and parts[0][1] is not None:
-            raise mismatch(limb, f"them for {name}.{of_limb}", "found joints for the limb")
+            message = f"joint names are not allowed with the limb '{limb}'"
+            raise Problem("", message, expected=f"a route to {name}.{of_limb}").error()
         if dot:
             return self._of_joints(name, of_limb, [(origin, [limb])])
         if parts[0][1] is not None:
@@ -175,19 +175,19 @@ class RouteChecker:
         compiled, text = value.compile(value.entries.size), expression.text.strip()
         return [Route(item, text, compiled, condition=condition) for item in inputs]
 
-    def _frame_route(self, inputs: Sequence[Input], given: str) -> list[FrameRoute]:
-        is_fwd_kin, name = self._is_fwd_kin(given), self._scene.frame_name(given)
+    def _frame_route(self, inputs: Sequence[Input], origin: str) -> list[FrameRoute]:
+        is_fwd_kin, name = self._is_fwd_kin(origin), self._scene.frame_name(origin)
         if not is_fwd_kin and name not in self._frames:
-            raise self._no_frame(given)
+            raise self._no_frame(origin)
         if not inputs:
             return []
         item, problems = inputs[0], []
         received = self._scene.frames.get(item.name)
         if received is not None and received.relative_to != WORLD and not is_fwd_kin:
             fix = f"set relative_to of {received.name} to 'world'"
-            problems.append(Problem("", f"{given} is a pose in the world; {fix}"))
+            problems.append(Problem("", f"{origin} is a pose in the world; {fix}"))
         if item.shape != (4, 4):
-            message = f"{given} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+            message = f"{origin} is a 4 x 4 frame; {item.target} takes {item.meaning}"
             problems.append(Problem("", message))
         if problems:
             raise DeclarationError(problems)
@@ -300,7 +300,7 @@ class RouteChecker:
             if self._scene.broken:  # a robot
                 raise DeclarationError([])
             reason = (
-                f"joints of {name} are unknown: no route leads from it to all joints of a robot"
+                f"joints of {name} are unknown, because it has no route to all joints of a robot"
             )
             raise Problem("", reason, expected=f"sources.{name}.joints, their names").error()
         if event not in events:

@@ -17,8 +17,8 @@ from .route import Route
 class Velocities:
     """Writes the velocities of robots with received joint angles to `qvel`.
 
-    They are the differences between two applied packets, divided by the difference of their arrival
-    times; zero if these differ by more than half a second.
+    A velocity is the difference of the angles of two applied packets, divided by the time between
+    their arrivals. It is zero if this time exceeds half a second.
     """
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:

@@ -38,8 +38,7 @@ from ...robots.declared.inputs import (
 from ...robots.declared.mounts import carriers, mount_circles
 from ...robots.declared.route_text import names_in
 from ...robots.declared.scene import Scene
-from ..receive.routed_joints import RoutedJoint, RoutedLinks
-from ..receive.source import Source, make_source
+from ..receive.source import RoutedJoint, RoutedLinks, Source, make_source
 from .joint_routes import (
     JointPart,
     whole_route,
@@ -91,9 +90,9 @@ def wire(scene: Scene) -> Wiring:
             for route in checker.check(target, origin):
                 to = route.to.target
                 joints = route.joints if isinstance(route, JointPart) else range(route.to.count)
-                before = [joint for joint in joints if (to, joint) in routed_by]
-                if before:
-                    raise DeclarationError([_duplicate_route(scene, route, before[0], routed_by)])
+                taken = [joint for joint in joints if (to, joint) in routed_by]
+                if taken:
+                    raise DeclarationError([_duplicate_route(scene, route, taken[0], routed_by)])
                 routed_by |= dict.fromkeys([(to, joint) for joint in joints], target)
                 if isinstance(route, JointPart):
                     parts.setdefault(to, []).append(route)
@@ -118,7 +117,7 @@ def wire(scene: Scene) -> Wiring:
 def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) -> Source:
     """Builds a source of a scene, with the joints that it moves; raises DeclarationError."""
     source = make_source(name, declared)
-    source.set_joints(_routed_joints(scene, name))
+    source.set_joints(_joints_of_source(scene, name))
     if (links := _routed_links(scene, name)) is not None:
         source.set_links(links)
     return source
@@ -148,7 +147,7 @@ def _routed_links(scene: Scene, source: str) -> RoutedLinks | None:
     return None
 
 
-def _routed_joints(scene: Scene, source: str) -> list[RoutedJoint]:
+def _joints_of_source(scene: Scene, source: str) -> list[RoutedJoint]:
     inputs = list_inputs(scene)
     for target, origin in scene.routes.items():
         if not any(name.partition(".")[0] == source for name in names_in(origin)):

@@ -37,8 +37,8 @@ def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
         size: size of a valid packet, bytes.
 
     Returns:
-        rows (n, `size` or more), in which short packets are padded with zeros and long ones are
-        truncated to 4096 bytes or `size`; and the lengths of the packets, (n,).
+        rows (n, `size` or more) and lengths of the packets, (n,). In rows, short packets are padded
+        with zeros, and long packets are truncated to 4096 bytes or `size`.
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
     width = max(size, min(int(lengths.max()), _MAX_WIDTH))
@@ -168,13 +168,13 @@ class Intake:
         """Checks n >= 1 packets, and returns those to apply. Call `count` afterwards.
 
         Args:
-            rows: one packet per row, (n, `size` or more; any width for encoded packets).
-            lengths: lengths of the packets, (n,), bytes; a length may exceed the row.
-            arrivals: (n,), s.
+            rows: one packet per row, (n, `size` or more), or (n, any) for encoded packets.
+            lengths: lengths in bytes, (n,); larger than the row if a packet was truncated.
+            arrivals: arrival times, (n,), s.
             senders: addresses, (n, any).
 
         Returns:
-            rows (m, `size`) and arrivals (m,); views into the arguments if all packets are valid.
+            rows (m, `size`) and arrivals (m,); views of the arguments if all packets are valid.
         """
         counters, layout = self._tally, self.layout
         counters.received += len(rows)
@@ -204,10 +204,10 @@ class Intake:
             return rows, arrivals
         begins = None if senders is None else self._note_senders(senders, arrivals)
         stamps = self._stamps(rows) if self._time else None
-        places = self._follow(rows, arrivals, stamps, senders)
-        odd = layout.find_out_of_bounds(rows, self._bounds)
-        is_finite, good = True, ~odd
-        if has_odd := bool(odd.any()):  # seldom
+        positions = self._classify(rows, arrivals, stamps, senders)
+        suspect = layout.find_out_of_bounds(rows, self._bounds)
+        is_finite, good = True, ~suspect
+        if is_any_suspect := bool(suspect.any()):  # seldom
             blank = layout.find_not_finite(rows)
             is_finite, good = not blank.any(), ~blank
             if not is_finite:
@@ -215,13 +215,13 @@ class Intake:
                 self._count_not_finite(rows, arrivals, good)
         if required := layout.required_frames:
             good &= self._are_frames(rows, arrivals, good, required)
-        if has_odd and self._limits:
+        if is_any_suspect and self._limits:
             good &= self._are_plausible(rows, arrivals, good)
-        self._time_good(good, arrivals, stamps, places, begins)
+        self._time_good(good, arrivals, stamps, positions, begins)
         # Packets that were counted as malformed are not counted again, for example as late.
-        if places.any():
-            duplicate = good & (places == DUPLICATE)
-            late = good & (places == LATE)
+        if positions.any():
+            duplicate = good & (positions == DUPLICATE)
+            late = good & (positions == LATE)
             counters.duplicates += int(duplicate.sum())
             counters.late += int(late.sum())
             good &= ~duplicate if self._lossless else ~(duplicate | late)
@@ -265,7 +265,7 @@ class Intake:
             self.on_fault(tally.last_fault)
 
     def reject(self, reason: str, length: int, arrival: float) -> None:
-        """Counts a malformed message that is no packet."""
+        """Counts a malformed message that cannot be converted to a packet."""
         self._tally.received += 1
         self._tally.wrong_size += 1
         self._tally.last_size = length
@@ -294,11 +294,11 @@ class Intake:
         good: NDArray[np.bool_],
         arrivals: Array,
         stamps: Array | None,
-        places: NDArray[np.int8],
+        positions: NDArray[np.int8],
         begins: int | None,
     ) -> None:
         timed = good.copy()
-        restarts = np.flatnonzero(places == RESTARTED)
+        restarts = np.flatnonzero(positions == RESTARTED)
         self._tally.restarts += len(restarts)
         if len(restarts) or begins is not None:
             self.timing.restart()
@@ -349,12 +349,12 @@ class Intake:
             self._fault(_describe_implausible(single, self.limits), arrivals[last])
         return good
 
-    def _follow(
+    def _classify(
         self, rows: Rows, arrivals: Array, stamps: Array | None, senders: Rows | None
     ) -> NDArray[np.int8]:
-        places = np.zeros(len(rows), np.int8)
+        positions = np.zeros(len(rows), np.int8)
         if not self._sequence and stamps is None:
-            return places
+            return positions
         if self._sequence:
             raw = self.layout.event_rows(rows, self._sequence)[:, 0]
             if raw.dtype.kind == "f":
@@ -370,12 +370,12 @@ class Intake:
             tracker = self._tracker(b"" if senders is None else senders[0].tobytes())
             if isinstance(tracker, SequenceTracker) and tracker.is_consecutive(numbers):
                 tracker.skip_to(numbers[-1], float(arrivals[-1]))
-                return places
+                return positions
         for i, arrival in enumerate(arrivals.tolist()):
             if finite[i]:
                 tracker = self._tracker(b"" if senders is None else senders[i].tobytes())
-                places[i] = tracker.classify(numbers[i], arrival)
-        return places
+                positions[i] = tracker.classify(numbers[i], arrival)
+        return positions
 
     def _tracker(self, sender: bytes) -> SequenceTracker | StampTracker:
         tracker = self._trackers.get(sender)

@@ -35,10 +35,7 @@ class Packet:
 
 
 def age(packet: Packet | None, now: float) -> float:
-    """Returns the time between the arrival of a packet and `now`, s, at least 0.
-
-    Infinite if there is no packet.
-    """
+    """Returns the time from the arrival of a packet to `now`, s, at least 0; infinite for None."""
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
 
@@ -155,7 +152,6 @@ class Mailbox:
         return decoded
 
     def take(self) -> Packets | None:
-        """Implements `Reception.take`."""
         if not self.is_lossless:
             packets = self.newest()
             if packets is None or packets.number == self._taken:
@@ -171,17 +167,14 @@ class Mailbox:
         return self._joined(batches, self._taken)
 
     def start_history(self) -> None:
-        """Implements `Reception.start_history`."""
         with self._room:
             self._history, self._history_bytes = deque(), 0
 
     def stop_history(self) -> None:
-        """Implements `Reception.stop_history`."""
         with self._room:
             self._history, self._history_bytes = None, 0
 
     def take_history(self) -> Packets | None:
-        """Implements `Reception.take_history`."""
         with self._room:
             batches, self._history_bytes = [*(self._history or ())], 0
             if batches:
@@ -197,5 +190,4 @@ class Mailbox:
         return Packets(self._decode(rows), arrivals, number)
 
     def wait(self, timeout: float) -> bool:
-        """Implements `Reception.wait`."""
         return self._first.wait(timeout)

@@ -54,7 +54,7 @@ class PacketDeclaration(Declaration):
 
     @field_validator(*_DECODING, mode="before")
     @classmethod
-    def _is_fixed(cls, value: Any, info: ValidationInfo) -> Any:
+    def _check_fixed(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.field_name is not None
         if cls._fixed_by and value not in cls._fixed(info.field_name):
             reason = f"{cls._fixed_by} determines this field. Leave it out"
@@ -67,7 +67,7 @@ class PacketDeclaration(Declaration):
 
     @field_validator("structure")
     @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
+    def _check_structure(cls, text: str, info: ValidationInfo) -> str:
         if cls._structure_is:
             if text:
                 raise ValueError(f"is {cls._structure_is}. Leave it out")
@@ -80,7 +80,7 @@ class PacketDeclaration(Declaration):
 
     @field_validator("sequence", "time")
     @classmethod
-    def _is_one_number(cls, event: str, info: ValidationInfo) -> str:
+    def _check_number_event(cls, event: str, info: ValidationInfo) -> str:
         if not event or cls._structure_is or "structure" not in info.data:
             return event
         events = _structure_of(info.data["structure"], info).events

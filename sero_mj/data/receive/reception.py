@@ -71,8 +71,9 @@ class Reception(PacketDeclaration, Timeline):
 
     Attributes:
         name: name of the source in routes.
-        only_latest_packet: apply only the newest packet; if false, apply every packet in order.
-        debug_level: 0 logs nothing, 1 faults, 2 also restarts and losses, 3 every batch.
+        only_latest_packet: apply only the newest packet; if false, apply all packets in order.
+        debug_level: amount of log messages: 0 for none, 1 for faults, 2 also for restarts and
+            losses, 3 also for every batch.
     """
 
     name: str = "source"
@@ -227,7 +228,7 @@ class Reception(PacketDeclaration, Timeline):
         return self._mail.take_history()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for the first valid packet; returns whether one has arrived."""
+        """Waits up to `timeout` s for the first valid packet; returns whether it has arrived."""
         return self._mail.wait(timeout)
 
     def accept(
@@ -239,8 +240,8 @@ class Reception(PacketDeclaration, Timeline):
         """Accepts n raw packets, including malformed ones. Call this in the source's own thread.
 
         Args:
-            arrivals: arrival times, n, s on the clock of `now`; the current time if None.
-            senders: bytes that identify the sender of each packet, (n, any); one sender if None.
+            arrivals: n arrival times on the clock of `now`, s; None for the current time.
+            senders: bytes that identify the sender of each packet, (n, any); None for one sender.
         """
         times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
         if len(times) != len(packets):
@@ -251,7 +252,7 @@ class Reception(PacketDeclaration, Timeline):
     def reject(self, message: bytes, reason: str) -> None:
         """Counts a malformed message; `reason` becomes the last fault of the source.
 
-        For sources whose messages are not packets, if the base class cannot say what is wrong.
+        Sources call this for messages that they cannot convert to packets.
         """
         if (tap := self._tap) is not None:
             # With the size of a packet, a recording would replay it as one.

@@ -11,7 +11,7 @@ from .intake import Counters
 from .mailbox import age
 from .source import Source
 
-_MAX_CLOCK_DIFFERENCE = 86_400.0  # s; larger differences mean that stamps have another epoch
+_MAX_CLOCK_DIFFERENCE = 86_400.0  # s; larger differences mean that time stamps have another epoch
 # Descriptions of counters, in the order in which users should check them.
 MEANINGS = {
     "lost": "missing sequence numbers",
@@ -23,7 +23,7 @@ MEANINGS = {
     "wrong_checksum": "corrupted: wrong checksum",
     "not_finite": "NaN or infinity in a value that moves something",
     "not_frames": "a matrix is not a rigid frame",
-    "implausible": "a number exceeds what a robot can have",
+    "implausible": "a number is beyond the plausible range",
     "foreign": "not from the configured sender",
     "torn": "unsuccessful reads, because the writer was always writing",
     "blanked": "applied, with missing data",
@@ -33,16 +33,17 @@ MEANINGS = {
 
 
 def report(source: Source) -> dict[str, Any]:
-    """Returns the state of a source by name: all fields of `Counters`, and these entries.
+    """Returns the state of a source as a dictionary: all fields of `Counters`, and these entries.
 
     - `source`, `about`: name and description of the source
     - `message`: name of its messages; empty for plain packets
-    - `receiving`, `good`: whether packets arrive, and the number of valid packets
+    - `receiving`: whether packets arrive
+    - `good`: number of valid packets
     - `rate`: packets per second
-    - `age`: time since the last valid packet, s; None before the first
-    - `jitter`, `delay`: s; `delay` is None if packets have no time stamp
-    - `clock`: time by which the sender's clock is behind ours, s, plus the transmission time of the
-      fastest packet; None if its stamps are not times of day
+    - `age`: time since the last valid packet, s; None before the first packet
+    - `jitter`, `delay`: see `Timing`, s; `delay` is None if packets have no time stamp
+    - `clock`: offset of the local clock from the sender's clock, plus the transmission time of the
+      fastest packet, s; None if time stamps are not times of day
     - `trouble`: why no packets arrive, if known
     - `error`: the last failure of reception; empty once packets arrive again
     - `controller`: state of the robot's controller in words

@@ -29,8 +29,8 @@ class ShmReader(Source):
     """Reads packets of one structure from a block of POSIX shared memory.
 
     The block need not exist: it is opened when it is created, and reopened when it is recreated. A
-    packet is new if its bytes differ from those of the last one. A writer that may repeat packets
-    needs a counter or a time in the structure; otherwise it is reported as silent.
+    packet is new if its bytes differ from those of the last packet. If packets can repeat, add a
+    counter or a time to the structure. Otherwise, a writer of equal packets is reported as silent.
 
     Torn packets, which the writer has written in part, are detected in different ways:
 
@@ -49,7 +49,7 @@ class ShmReader(Source):
             none.
         offset: position of the packet in the block, bytes.
         poll_rate: rate at which the block is read, Hz. It is also read for each frame.
-        settle: time for which a packet must not change if there is no lock, s.
+        settle: time in s for which a packet must not change if there is no lock.
     """
 
     name: str = "shm"
@@ -62,37 +62,37 @@ class ShmReader(Source):
     _block: Block | None = PrivateAttr(None)
     _reading: threading.Lock = PrivateAttr(default_factory=threading.Lock)
     _wake: threading.Lock = PrivateAttr(default_factory=threading.Lock)
-    _owes_call_back: bool = PrivateAttr(False)
+    _is_callback_due: bool = PrivateAttr(False)
     _packets: _PacketFinder | None = PrivateAttr(None)
-    _look_next: float = PrivateAttr(0.0)
-    _count_next: float = PrivateAttr(0.0)
+    _next_reopen: float = PrivateAttr(0.0)
+    _next_count: float = PrivateAttr(0.0)
     # Packets to be checked, with the times at which they were read.
     _gathered: list[tuple[bytes, float]] = PrivateAttr(default_factory=list)
     _checked: float = PrivateAttr(-np.inf)  # time of the last check, s
 
     @field_validator("block")
     @classmethod
-    def _block_can_have_this_name(cls, block: str) -> str:
+    def _check_block(cls, block: str) -> str:
         block_path(block)
         return block
 
     @field_validator("lock")
     @classmethod
-    def _lock_is_one_number(cls, event: str, info: ValidationInfo) -> str:
-        return cls._is_one_number(event, info)
+    def _check_lock_event(cls, event: str, info: ValidationInfo) -> str:
+        return cls._check_number_event(event, info)
 
     @model_validator(mode="after")
-    def _lock_can_be_one(self) -> ShmReader:
+    def _check_lock(self) -> ShmReader:
         if not self.lock:
             return self
         if self.lock == self.sequence:
-            reason = "a lock increases by two. Leave sequence out"
-            raise ValueError(f"'{self.lock}' is lock and sequence; {reason}")
+            reason = "but a lock increases by two. Leave sequence out"
+            raise ValueError(f"'{self.lock}' is both lock and sequence, {reason}")
         field = self.layout.field(self.lock)
         if (self.offset + field.offset) % field.item_bytes:
             expected = f"expected a multiple of {field.item_bytes}, so that it cannot be torn"
             found = f"lock '{self.lock}' is at byte {self.offset + field.offset}"
-            raise ValueError(f"{found}; {expected}. Use alignment = 8, for example")
+            raise ValueError(f"{found}; {expected}. For example, set alignment = 8")
         return self
 
     @property
@@ -112,7 +112,7 @@ class ShmReader(Source):
         self.reset()
         self._packets = _PacketFinder(self)
         self._gathered, self._checked = [], -np.inf
-        self._count_next, self._look_next = 0.0, clock.monotonic() + _BLOCK_POLL_INTERVAL
+        self._next_count, self._next_reopen = 0.0, clock.monotonic() + _BLOCK_POLL_INTERVAL
         try:
             self._block = Block(self.block)
         except FileNotFoundError:
@@ -133,19 +133,15 @@ class ShmReader(Source):
             self._block = None
 
     def latest(self) -> Packet | None:
-        """Reads the block and returns the newest valid packet, or None if there is none."""
-        self._look_now()
+        self._read_now()
         return super().latest()
 
     def take(self) -> Packets | None:
-        """Returns the valid packets since the last call, or None; see `Reception.take`.
-
-        Reads the block first, if `only_latest_packet` is set.
-        """
-        self._look_now()
+        self._read_now()
         return super().take()
 
-    def _look_now(self) -> None:
+    def _read_now(self) -> None:
+        # Reads the block before the latest packet is returned.
         # If no packet may be lost, `accept` may wait until the caller of this method takes packets.
         if self._thread is None or self._thread.is_current or not self.only_latest_packet:
             return
@@ -161,7 +157,6 @@ class ShmReader(Source):
                 self._reading.release()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for the first valid packet; logs the reason if none arrives."""
         has_come = super().wait(timeout)
         if not has_come and self.trouble and self.debug_level >= 1:
             log.warning("source '%s': %s", self.name, self.trouble)
@@ -169,8 +164,8 @@ class ShmReader(Source):
 
     def _call_back(self) -> None:
         # Not in a consumer's thread, which may hold a lock that the callback waits for.
-        self._owes_call_back = self._thread is None or not self._thread.is_current
-        if not self._owes_call_back:
+        self._is_callback_due = self._thread is None or not self._thread.is_current
+        if not self._is_callback_due:
             super()._call_back()
 
     def _receive(self, _: socket.socket) -> None:
@@ -180,7 +175,7 @@ class ShmReader(Source):
                 self._poll()
                 if self._gathered and clock.monotonic() - self._checked >= _GATHER_TIME:
                     self._check()
-                if self._owes_call_back:
+                if self._is_callback_due:
                     self._call_back()
             # Faster than an Event, with the same latency.
             wake.acquire(timeout=period)
@@ -189,9 +184,9 @@ class ShmReader(Source):
     def _poll(self) -> None:
         now = clock.monotonic()
         try:
-            if now >= self._look_next:
-                self._look_next = now + _BLOCK_POLL_INTERVAL
-                self._look_for_another()
+            if now >= self._next_reopen:
+                self._next_reopen = now + _BLOCK_POLL_INTERVAL
+                self._reopen()
             block, packets = self._block, self._packets
             if block is None or packets is None:
                 return
@@ -205,8 +200,8 @@ class ShmReader(Source):
                 packets.torn = 0
         elif len(found) == self.size:
             self._gathered.append((found, now))
-        elif now >= self._count_next and block.size:  # empty if it has just been created
-            self._count_next = now + _COUNT_INTERVAL
+        elif now >= self._next_count and block.size:  # empty if it has just been created
+            self._next_count = now + _COUNT_INTERVAL
             self._gathered.append((found, now))
 
     def _check(self) -> None:
@@ -217,7 +212,7 @@ class ShmReader(Source):
         self.accept(packets, arrivals)
         self._checked = clock.monotonic()
 
-    def _look_for_another(self) -> None:
+    def _reopen(self) -> None:
         old = self._block
         assert self._packets is not None
         try:

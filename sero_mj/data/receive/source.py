@@ -5,21 +5,59 @@ from __future__ import annotations
 import socket
 from abc import abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
+import numpy as np
 from pydantic import PrivateAttr
 
 from ...base.declaration import file_fields, kind_of
 from ...base.errors import PluginError, Problem, mismatch
+from ...base.frames import Array, Ints
 from ...base.plugins import SOURCES, load_plugin, plugin_name, plugins
+from ...robots.kinematics.joint_tree import JointTree
 from .receiving_thread import ReceivingThread
 from .reception import Reception
-from .routed_joints import RoutedJoint, RoutedLinks
 
 # Events that every source has: `receiving` is 1 while packets arrive, `receive_trigger` is 1 in a
 # tick in which new packets were applied.
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
+
+
+class RoutedJoint(NamedTuple):
+    """A joint that a source moves.
+
+    Attributes:
+        angle: declared position, rad or m.
+        torque_limit: maximum torque, Nm or N; infinite if unknown.
+    """
+
+    name: str
+    angle: float = 0.0
+    torque_limit: float = np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class RoutedLinks:
+    """The links of a robot that a source of transforms moves.
+
+    Attributes:
+        joints: indices of the independent joints, in the order of `Source.set_joints`, (k,).
+        positions: function from the positions of the independent joints, (k,), to those of all
+            joints, (n,).
+        home: declared positions of the independent joints, (k,), rad or m.
+        poses: name of each link in the robot's original file to the index of its body (0 for the
+            base) and T_body_link (4, 4), m.
+        base: declared T_world_base (4, 4), m.
+    """
+
+    tree: JointTree
+    joints: Ints
+    positions: Callable[[Array], Array]
+    home: Array
+    poses: Mapping[str, tuple[int, Array]]
+    base: Array
 
 
 class Source(Reception):
@@ -64,16 +102,16 @@ class Source(Reception):
 
     @property
     def place(self) -> tuple[str, int] | None:
-        """Address and UDP port that it listens on; None if it does not listen on a port."""
+        """Address and UDP port on which it listens; None if it does not listen on a port."""
         return None
 
     @property
     def memory(self) -> tuple[str, str, int] | None:
-        """Name of its shared memory, event that locks it (or ""), and offset in bytes; or None."""
+        """Name, lock event (or "") and offset in bytes of its shared memory; None for others."""
         return None
 
     def message_of(self, packet: bytes) -> bytes:
-        """Returns what a sender sends for a packet: the packet, or a message that encodes it."""
+        """Returns the message that a sender sends for a packet; by default, the packet itself."""
         return packet
 
     @property
@@ -109,14 +147,14 @@ class Source(Reception):
     def set_joints(self, joints: Sequence[RoutedJoint]) -> None:
         """Called before `events` is read, with the joints that the source moves, in order.
 
-        These are the joints of the first robot or group that has routes from the source. For
-        sources of messages that name joints.
+        These are the joints of the first robot or group with routes from the source. Sources of
+        messages that name joints override this method.
         """
 
     def set_links(self, links: RoutedLinks) -> None:
         """Called before `events` is read, with the links of the first robot with routes from it.
 
-        For sources of transforms.
+        Sources of transforms override this method.
         """
 
     def needs_joints(self, event: str) -> bool:

@@ -70,7 +70,7 @@ class UdpReceiver(Source):
 
     @field_validator("sender")
     @classmethod
-    def _senders_are_addresses(cls, senders: list[str]) -> list[str]:
+    def _check_senders(cls, senders: list[str]) -> list[str]:
         for sender in senders:
             split_sender(sender)
         return senders

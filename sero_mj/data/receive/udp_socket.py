@@ -121,7 +121,7 @@ class Datagrams:
         self._socket = sock
         self._rows = np.zeros((BATCH, max_bytes), np.uint8)
         self._senders = np.zeros((BATCH, _ADDRESS_BYTES), np.uint8)
-        self._lengths, self._came = np.zeros(BATCH, np.intp), np.zeros(BATCH)
+        self._lengths, self._times = np.zeros(BATCH, np.intp), np.zeros(BATCH)
         self.waiting = 0
         self._recvmmsg: Any = None
         self._sendto: Any = None
@@ -142,13 +142,13 @@ class Datagrams:
     def _prepare(self) -> None:
         self._controls = np.zeros((BATCH, _CONTROL_BYTES), np.uint8)
         self._vectors = np.zeros(BATCH, np.dtype(_Iovec))
-        self._vectors["base"], self._vectors["length"] = _places(self._rows), self._rows.shape[1]
+        self._vectors["base"], self._vectors["length"] = _addresses(self._rows), self._rows.shape[1]
         self._headers = (_Mmsghdr * BATCH)()
         states = np.frombuffer(memoryview(self._headers), np.dtype(_Mmsghdr))
         header = states["header"]
-        header["name"], header["namelen"] = _places(self._senders), _ADDRESS_BYTES
-        header["iov"], header["iovlen"] = _places(self._vectors), 1
-        header["control"], header["controllen"] = _places(self._controls), _CONTROL_BYTES
+        header["name"], header["namelen"] = _addresses(self._senders), _ADDRESS_BYTES
+        header["iov"], header["iovlen"] = _addresses(self._vectors), 1
+        header["control"], header["controllen"] = _addresses(self._controls), _CONTROL_BYTES
         # Fields changed by the kernel.
         self._got, self._namelen = states["length"], header["namelen"]
         self._controllen = header["controllen"]
@@ -171,7 +171,7 @@ class Datagrams:
         """Reads available packets for `take`, and returns their number; raises OSError."""
         if self.waiting == BATCH:
             return 0
-        count = self._one_by_one() if self._recvmmsg is None else self._at_once()
+        count = self._read_each() if self._recvmmsg is None else self._read_batch()
         self.waiting += count
         return count
 
@@ -182,7 +182,7 @@ class Datagrams:
             return None
         rows, senders = self._rows[:count], self._senders[:count].copy()
         if self._recvmmsg is None:
-            lengths, arrivals = self._lengths[:count].copy(), self._came[:count].copy()
+            lengths, arrivals = self._lengths[:count].copy(), self._times[:count].copy()
             return Batch(rows, lengths, arrivals, senders, self._dropped)
         lengths = self._got[:count].astype(np.intp)
         arrivals = self._arrivals(count)
@@ -209,7 +209,7 @@ class Datagrams:
             error = ctypes.get_errno()
             raise OSError(error, os.strerror(error))
 
-    def _at_once(self) -> int:
+    def _read_batch(self) -> int:
         first = self.waiting
         count = int(self._recvmmsg(*self._arguments[first]))
         if count <= 0:
@@ -244,14 +244,14 @@ class Datagrams:
                 return int(struct.unpack_from("=I", control, 48)[0])
         return self._dropped
 
-    def _one_by_one(self) -> int:
+    def _read_each(self) -> int:
         first = self.waiting
         for i in range(first, BATCH):
             try:
                 length, sender = self._receive_into(self._rows[i].data)
             except BlockingIOError:
                 return i - first
-            self._came[i] = time.monotonic()
+            self._times[i] = time.monotonic()
             self._lengths[i] = length
             packed = pack_address(*sender[:2])
             if self.on_arrival is not None:
@@ -271,7 +271,7 @@ class Datagrams:
             return len(row) + 1, _UNKNOWN
 
 
-def _places(rows: NDArray[Any]) -> Ints:
+def _addresses(rows: NDArray[Any]) -> Ints:
     return np.asarray(rows.ctypes.data + rows.strides[0] * np.arange(len(rows)))
 
 

@@ -39,7 +39,7 @@ class FileSource(Source):
     Attributes:
         file: file name of the recording.
         speed: playback speed; 2 is twice as fast.
-        loop: restart at the end; otherwise, the data become stale there.
+        loop: restart at the end; if false, the data become stale after the end.
         start: time at which playback begins, s from the start of the recording; None for the first
             packet of any source.
         stop: time at which playback ends, s from the start of the recording; None for its end.
@@ -92,7 +92,7 @@ class FileSource(Source):
     @property
     def about(self) -> str:
         if self.recorded.is_unreadable:
-            return f"replay of {self.file}, whose {self.recorded.count} packets cannot be read"
+            return f"replay of {self.file}, {self.recorded.count} unusable packets"
         return f"replay of {self.file}, {self.duration:.1f} s"
 
     @property

@@ -225,12 +225,12 @@ def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
 
 
 def mcap_reason(error: BaseException) -> str:
-    """Returns the text of an error of `BROKEN`; those of the mcap library are often empty."""
+    """Returns the text of an error in `BROKEN`; errors of the mcap library often have no text."""
     return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
 
 
 def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
-    """Returns log time, ns, and data of a channel's messages in a chunk; raises BROKEN.
+    """Returns log time in ns and data of a channel's messages in a chunk; raises BROKEN.
 
     `mcap.stream_reader.breakup_chunk` would take five times as long and decompresses without a
     limit.

@@ -20,7 +20,7 @@ _PER_PACKET = 64  # bytes of memory for each packet, in addition to its own
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Packets of one source, as for `PacketWorker.take`; `size` is their memory in bytes."""
+    """Packets of one source, as in `PacketWorker.take`; `size` is their memory in bytes."""
 
     name: str
     rows: Rows

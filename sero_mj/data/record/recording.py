@@ -54,9 +54,9 @@ class RecordedSource(SourceDeclaration):
 
     Attributes:
         count: number of packets.
-        first: arrival time of its first packet, s from the start of the recording; NaN without
+        first: arrival time of the first packet, s from the start of the recording; NaN without
             packets.
-        last: arrival time of its last packet, as `first`.
+        last: arrival time of the last packet, as `first`.
     """
 
     count: int
@@ -78,8 +78,8 @@ class PacketFile(ABC):
         faults: tolerated errors, one sentence each; some are detected when packets are read.
         malformed: why the last malformed message could not be converted to a packet; empty for
             recordings of packets.
-        names_joints: whether the recording has messages that name joints, so that it can move a
-            robot without routes.
+        names_joints: whether messages name joints, so that the recording can move a robot without
+            routes.
     """
 
     path: Path
@@ -168,10 +168,10 @@ class PacketFile(ABC):
         """
         return {"kind": "replay", "file": str(self.path), "source": name}
 
-    def lead(self, scene: Any, source: str | None = None) -> Any:
-        """Returns a `Scene` without sources with its only robot moved by this recording.
+    def move_robot(self, scene: Any, source: str | None = None) -> Any:
+        """Returns a `Scene` without sources such that this recording moves its only robot.
 
-        Returns other scenes unchanged. Recordings of packets change no scene.
+        Other scenes are returned unchanged. Recordings of packets change no scene.
 
         Args:
             source: source of the recording that moves the robot; None to find it by joint names.
@@ -362,7 +362,7 @@ class Recording(PacketFile):
                 record = read_record(self._file, offset, length)
             data = record.getvalue()
             if zlib.crc32(data[:-4]).to_bytes(4, "little") != data[-4:]:
-                raise ValueError("its check sum differs")
+                raise ValueError("its checksum is wrong")
             return bytes(Attachment.read(ReadDataStream(record)).data)
         except BROKEN as error:
             raise RecordingError(

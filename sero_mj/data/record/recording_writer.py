@@ -227,7 +227,7 @@ class RecordingWriter:
         """Adds channels for the packets of a source, and for their decoded values.
 
         Args:
-            declared: fields of the source, from which a replay builds its decoder; JSON types.
+            declared: fields of the source, as JSON types, from which a replay builds its decoder.
             events: event name to shape, (n,), (n, 3) or (n, 4, 4).
             size: bytes of a packet.
             signals: signals of decoded packets; their events if None.
@@ -273,7 +273,7 @@ class RecordingWriter:
         self._file.write(pack_record(record))
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Adds a file, such as the scene; its name may have folders."""
+        """Adds a file, such as the scene. Its name can include folders."""
         self._writer.add_attachment(0, self.clock.epoch_ns, name, media_type, data)
         self._file.flush()
 
@@ -361,7 +361,7 @@ class RecordingWriter:
         return float("inf")
 
     def close(self, *, lost: Mapping[str, int] | None = None) -> None:
-        """Completes the file; `lost` is the number of lost packets by source, for readers."""
+        """Completes the file; `lost` is the number of lost packets by source."""
         if self._file.closed:
             return
         self.flush()

@@ -12,8 +12,7 @@ from pydantic import PrivateAttr, ValidationInfo, field_validator
 
 from ...base.errors import DeclarationError, PluginError, RecordingError, did_you_mean, mismatch
 from ...base.plugins import SOURCES, load_plugin, plugins
-from ..receive.routed_joints import RoutedJoint, RoutedLinks
-from ..receive.source import Source
+from ..receive.source import RoutedJoint, RoutedLinks, Source
 from .csv_files import is_table
 from .file_source import FileSource
 from .formats import look_into, open_recording
@@ -42,7 +41,7 @@ class Replay(FileSource):
 
     @field_validator("file")
     @classmethod
-    def _file_is_a_recording(cls, file: Path) -> Path:
+    def _check_file(cls, file: Path) -> Path:
         if is_table(file):
             raise ValueError(f'{file} is a table; expected a recording. Set kind = "table"')
         try:
@@ -53,7 +52,7 @@ class Replay(FileSource):
 
     @field_validator("topics")
     @classmethod
-    def _are_of_messages(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
+    def _check_topics(cls, topics: dict[str, Any], info: ValidationInfo) -> dict[str, Any]:
         if topics and "file" in info.data:
             wanted = _message_source(info.data["file"], topics)
             if wanted is None:
@@ -64,7 +63,7 @@ class Replay(FileSource):
 
     @field_validator("source")
     @classmethod
-    def _was_recorded(cls, source: str, info: ValidationInfo) -> str:
+    def _check_source(cls, source: str, info: ValidationInfo) -> str:
         if "file" not in info.data or "topics" not in info.data:
             return source
         topics, name = info.data["topics"], str(info.data.get("name"))
@@ -80,14 +79,14 @@ class Replay(FileSource):
 
     @field_validator("start")
     @classmethod
-    def _begins_in_the_recording(cls, start: float | None, info: ValidationInfo) -> float | None:
+    def _check_start(cls, start: float | None, info: ValidationInfo) -> float | None:
         if start is not None and "file" in info.data:
             check_start(start, look_into(info.data["file"]))
         return start
 
     @field_validator("stop")
     @classmethod
-    def _ends_after_it_begins(cls, stop: float | None, info: ValidationInfo) -> float | None:
+    def _check_stop(cls, stop: float | None, info: ValidationInfo) -> float | None:
         if stop is None or "file" not in info.data or "start" not in info.data:
             return stop
         if info.data["start"] is not None:

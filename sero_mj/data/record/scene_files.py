@@ -21,7 +21,7 @@ _MAX_MESH_BYTES = 50_000_000
 
 
 def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
-    """Returns the files to attach by their names in the recording; `tables` are TOML files."""
+    """Returns the files to attach, by name in the recording; `tables` are the TOML files."""
     own = [file.absolute() for file in tables]
     found = {f"{file.parent.name}/{file.name}": file for file in own}
     if scene.file is None:

@@ -19,8 +19,8 @@ from .packet_worker import Batch, PacketWorker
 from .recorder import SIGNALS_RATE, Decode, PacketWriter
 from .recording_format import RecordingClock
 
-KEPT_BYTES = 256 << 20  # maximum size of the buffer
-_BATCH_BYTES = 600  # of memory for the objects of a batch
+MAX_BUFFER_BYTES = 256 << 20  # maximum size of the buffer
+_BATCH_BYTES = 600  # memory for the objects of a batch
 _LATE = 0.3  # s; maximum delay of packets from the thread of their source
 _POLL = 0.1  # s
 _GATHER = 0.01  # s; packets are checked together, because many take as long as a few
@@ -58,7 +58,7 @@ class RecordedEvent:
 class _Ring:
     def __init__(self, seconds: float, max_bytes: int) -> None:
         self.size = 0
-        self.forgotten = 0  # packets that were removed early because of `max_bytes`
+        self.evicted = 0  # packets that were removed early because of `max_bytes`
         self._seconds, self._max_bytes = seconds, max_bytes
         self._batches: deque[Batch] = deque()
 
@@ -71,7 +71,7 @@ class _Ring:
             is_old = oldest.arrivals[-1] < now - self._seconds - _LATE
             if not is_old and self.size <= self._max_bytes:
                 return
-            self.forgotten += 0 if is_old else len(oldest)
+            self.evicted += 0 if is_old else len(oldest)
             self.size -= _size_of(oldest)
             self._batches.popleft()
 
@@ -94,17 +94,16 @@ class TriggerStatistics:
     """Counts of packets and events so far.
 
     Attributes:
-        kept_bytes: size of the buffer.
-        forgotten: packets that were removed early because the buffer was full.
-        unchecked: source to the number of packets that were not checked because they arrived too
-            fast.
+        buffer_bytes: size of the buffer.
+        evicted: packets that were removed early because the buffer was full.
+        unchecked: source to the number of packets that were not checked because the queue was full.
     """
 
     packets: int
     events: int
     seconds: float
-    kept_bytes: int
-    forgotten: int
+    buffer_bytes: int
+    evicted: int
     unchecked: Mapping[str, int]
     is_recording: bool
 
@@ -112,7 +111,7 @@ class TriggerStatistics:
 class TriggeredRecorder(PacketWorker):
     """Records the packets before and after a condition is fulfilled, with bounded memory.
 
-    Each event has its own recording. An event during the recording of another one extends it.
+    Each event has its own recording. An event during a recording extends that recording.
 
     Args:
         path_of: function from number (from 1) and time of an event to its file.
@@ -122,7 +121,7 @@ class TriggeredRecorder(PacketWorker):
         overwrite: replace existing files; otherwise, an existing file is an error.
         signals_rate: maximum number of packets per second and source whose decoded values are
             recorded as well.
-        kept_bytes: maximum size of the buffer.
+        buffer_bytes: maximum size of the buffer.
         clock_at: function from the arrival time of the first packet of a recording to its clock;
             None for live sources.
         now: the clock of arrivals; None if it is not a real-time clock.
@@ -141,7 +140,7 @@ class TriggeredRecorder(PacketWorker):
         after: float,
         overwrite: bool = False,
         signals_rate: float = SIGNALS_RATE,
-        kept_bytes: int = KEPT_BYTES,
+        buffer_bytes: int = MAX_BUFFER_BYTES,
         clock_at: Callable[[float], RecordingClock] | None = None,
         now: Clock | None = time.monotonic,
     ) -> None:
@@ -150,7 +149,7 @@ class TriggeredRecorder(PacketWorker):
         self._path_of, self._find, self._about = path_of, find, dict(about)
         self._before, self._after, self._overwrite = before, after, overwrite
         self._signals_rate, self._clock_at, self._now = signals_rate, clock_at or live_clock, now
-        self._ring = _Ring(before, kept_bytes)
+        self._ring = _Ring(before, buffer_bytes)
         self._sources: dict[str, tuple[Decode, dict[str, Any]]] = {}  # with their declarations
         self._files: list[tuple[str, str, bytes]] = []
         self._writer: PacketWriter | None = None
@@ -158,7 +157,7 @@ class TriggeredRecorder(PacketWorker):
         self._count = 0  # packets of the current recording
         self._packets = 0
         self._last_seen = math.nan  # arrival of the last packet
-        self._held: dict[
+        self._was_fulfilled: dict[
             str, bool
         ] = {}  # source to whether its last packet fulfilled the condition
         self._requested: list[str] = []  # descriptions of events from `record_now`
@@ -187,7 +186,7 @@ class TriggeredRecorder(PacketWorker):
                 len(self.events),
                 self.seconds,
                 self._ring.size,
-                self._ring.forgotten,
+                self._ring.evicted,
                 dict(self._lost),
                 self._writer is not None,
             )
@@ -206,7 +205,7 @@ class TriggeredRecorder(PacketWorker):
 
     def _handle(self, batches: list[Batch]) -> None:
         for batch in batches:
-            self._look(batch)
+            self._process(batch)
             self._packets += len(batch)
         with self._changed:
             requested, self._requested = self._requested, []
@@ -222,20 +221,20 @@ class TriggeredRecorder(PacketWorker):
     def _finish(self, error: Exception | None) -> None:
         self._end()
 
-    def _look(self, batch: Batch) -> None:
+    def _process(self, batch: Batch) -> None:
         holds, describe = self._find(batch.name, batch.rows, batch.lengths)
         hits = np.flatnonzero(holds)
-        is_new = holds & ~np.append(self._held.get(batch.name, False), holds[:-1])
-        self._held[batch.name] = bool(holds[-1])
+        is_new = holds & ~np.append(self._was_fulfilled.get(batch.name, False), holds[:-1])
+        self._was_fulfilled[batch.name] = bool(holds[-1])
         row = 0
         while row < len(batch.rows):
             rest = hits[hits >= row]
             if self._writer is None:
                 if not len(rest):
-                    self._keep(_part(batch, slice(row, None)))
+                    self._buffer(_part(batch, slice(row, None)))
                     return
                 # The packet that fulfills the condition is the first one of the recording.
-                self._keep(_part(batch, slice(row, int(rest[0]))))
+                self._buffer(_part(batch, slice(row, int(rest[0]))))
                 row = int(rest[0])
                 self._begin(float(batch.arrivals[row]), describe(row))
             # Packets up to the end of the recording, which each further hit extends.
@@ -247,13 +246,13 @@ class TriggeredRecorder(PacketWorker):
                     break
                 self._extend(float(batch.arrivals[hit]), is_new=bool(is_new[hit]))
             part = _part(batch, slice(row, end))
-            self._keep(part)
+            self._buffer(part)
             self._write(part)
             row = end
             if row < len(batch.rows):
                 self._end()
 
-    def _keep(self, batch: Batch) -> None:
+    def _buffer(self, batch: Batch) -> None:
         if len(batch.rows):
             self._last_seen = float(batch.arrivals[-1])
             self._ring.add(batch)

@@ -17,7 +17,7 @@ from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
 LEAD = 0.5  # time in s by which the commanded position leads the measured position
-_AMPLITUDE = 0.4  # share of half the joint's range
+_AMPLITUDE = 0.4  # as a share of half the range of the joint
 _AMPLITUDE_ABOUT_POSE = 0.2  # the same for motions about a declared pose
 _BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad

@@ -258,7 +258,7 @@ def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure)
         o.key: None for r in routes for o in r.value.origins if o.is_event and o.name == source
     }
     if not taken:
-        return f"no route leads from '{source}': there is nothing to send"
+        return f"no route uses source '{source}', so there is nothing to send"
     return (
         f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
         f"'{source}' take {', '.join(taken)}: there is nothing to send"
@@ -289,8 +289,8 @@ class RouteInverse:
                         known[number] = width
                         width += 1
         rows = np.concatenate([self._rows(route, width) for route in routes])
-        self._kept = _independent(rows)
-        self._inverse = np.linalg.pinv(rows[self._kept])
+        self._selected = _independent(rows)
+        self._inverse = np.linalg.pinv(rows[self._selected])
         # For each origin: indices of its numbers, and their places in the solution.
         self._taken = {
             origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
@@ -326,7 +326,7 @@ class RouteInverse:
             return np.zeros(max(self._columns[origin], default=0) + 1)
 
         rests = [wanted[r.to.target] - r.value.evaluate(known) for r in self._routes]
-        solution = self._inverse @ np.concatenate(rests)[self._kept]
+        solution = self._inverse @ np.concatenate(rests)[self._selected]
 
         def numbers(origin: Origin, count: int) -> Array:
             found = np.zeros(count)
@@ -340,12 +340,12 @@ class RouteInverse:
 
 def _independent(rows: Array) -> list[int]:
     basis = np.empty((0, rows.shape[1]))
-    kept = []
+    selected = []
     for i, row in enumerate(rows):
         size = np.linalg.norm(row)
         rest = row - basis.T @ (basis @ row)
         rest -= basis.T @ (basis @ rest)  # repeated, to remove rounding errors
         if size > 0 and np.linalg.norm(rest) > _RANK_TOLERANCE * size:
             basis = np.vstack([basis, rest / np.linalg.norm(rest)])
-            kept.append(i)
-    return kept
+            selected.append(i)
+    return selected

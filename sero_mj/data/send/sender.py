@@ -27,7 +27,7 @@ from ..receive.structure import Rows, Structure
 
 _SPIN = 2e-4  # s; accuracy of sleep, after which the rest is a busy wait
 _MAX_COMPUTED_RATE = 1000.0  # packets/s; other packets are interpolated
-_LEAD_TIME = 0.25  # s
+_LEAD_TIME = 0.25  # s; maximum time by which packets are computed early
 
 
 class Sink(Protocol):

@@ -1,4 +1,4 @@
-"""Controllers as Functional Mock-up Units, as Simulink, Dymola and OpenModelica export them.
+"""Controllers that are Functional Mock-up Units, exported by Simulink, Dymola or OpenModelica.
 
 In: an FMU file. Out: the controller kind `fmu`.
 Open first: `fmu.py`.

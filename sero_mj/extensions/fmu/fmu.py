@@ -1,7 +1,7 @@
-"""`kind = "fmu"`: a Functional Mock-up Unit (FMI 2 and 3, co-simulation), by FMPy.
+"""`kind = "fmu"`: a Functional Mock-up Unit (FMI 2 or 3, co-simulation), run with FMPy.
 
-Simulink, Dymola and OpenModelica export such units. At every step its inputs are set, it makes one
-step of the same length, and its outputs are read.
+Simulink, Dymola and OpenModelica export FMUs. In each simulation step, the controller sets the
+inputs of the FMU, advances it by one step of the same length, and reads its outputs.
 """
 
 from __future__ import annotations
@@ -25,28 +25,29 @@ from ...simulate.control.controller import Controller, ControllerDeclaration, Se
 from ...simulate.control.robot_model import RobotModel
 from ...simulate.external_control.exchange import VALUES, State
 
-# How tools number the elements of a vector, from 1 or from 0.
+# Tools name the elements of a vector `q[1]`, `q_1`, `q.1` or `q(1)`, counted from 1 or 0.
 _ELEMENT = re.compile(r"(?P<name>.+?)(?:\[(?P<a>\d+)\]|[._](?P<b>\d+)|\((?P<c>\d+)\))$")
 _TORQUES = "torques"
 
 
 class Fmu(ControllerDeclaration):
-    """A Functional Mock-up Unit.
+    """A controller in a Functional Mock-up Unit.
 
-    Variables are taken by their names: an input `angles`, a vector, or `angles[1]`, `angles_1` and
-    so on, its elements; outputs `torques` likewise. A vector must have one number per joint.
+    Inputs and outputs are matched by name. The FMU can have an input vector `angles` with one
+    number per joint, or one input per joint (`angles[1]`, `angles_1` and so on). The same applies
+    to the outputs `torques`.
 
     Attributes:
-        file: the unit, controller.fmu say; relative to the scenario's folder.
-        inputs: its inputs that are named otherwise, one by one or whole vectors (`q` for q_0, q_1
-            and so on), to what they get: angles, velocities, torques,
-            motor_angles, motor_velocities, gravity, target_angles, target_velocities,
-            target_accelerations, or an element of these, `angles[1]` for the first joint.
-        output: the name of its outputs with torques.
-        parameters: of its parameters, the values that they get.
+        file: FMU file, for example `controller.fmu`, relative to the scenario's folder.
+        inputs: table that maps inputs of the FMU with different names to values: angles,
+            velocities, torques, motor_angles, motor_velocities, gravity, target_angles,
+            target_velocities, target_accelerations, or an element of these (`angles[1]` for the
+            first joint). The name `q` stands for the inputs q_0, q_1 and so on.
+        output: name of the outputs that contain torques.
+        parameters: table that maps parameters of the FMU to their values.
     """
 
-    may_be_asked: ClassVar[bool] = False
+    may_be_probed: ClassVar[bool] = False
     title: ClassVar[str] = "FMU"
     order: ClassVar[int] = 80
 
@@ -58,44 +59,40 @@ class Fmu(ControllerDeclaration):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """None: there is no unit."""
-        return None
+        return None  # there is no default FMU
 
     def actions(self, key: str = "") -> list[RequestedAction]:
         return [RequestedAction(key, f"load the FMU {self.file}", (self.file,))]
 
     def check_files(self) -> None:
         if not self.file.is_file():
-            raise Problem("file", f"no file {self.file}").error()
+            raise Problem("file", f"{self.file} does not exist").error()
 
     def make(self, model: RobotModel, timestep: float) -> FmuController:
-        """The controller; raises DeclarationError where the unit does not fit the robot."""
         try:
             import fmpy
         except ImportError as error:
-            hint = f"needs FMPy ({error}): pip install 'sero-mj[fmu]'"
+            hint = f"fmu requires FMPy ({error}): pip install 'sero-mj[fmu]'"
             raise Problem("kind", hint).error() from None
         self.check_files()
         try:
             description = fmpy.read_model_description(str(self.file))
         except Exception as error:  # FMPy, zipfile and lxml raise many kinds
-            raise Problem("file", f"{self.file} is no FMU: {error}").error() from None
+            raise Problem("file", f"{self.file} is not an FMU: {error}").error() from None
         version = str(description.fmiVersion)[:1]
         if description.coSimulation is None or version not in ("2", "3"):
-            found = f"{self.file} is of FMI {description.fmiVersion}"
+            has = "without" if description.coSimulation is None else "with"
+            found = f"{self.file} uses FMI {description.fmiVersion} {has} co-simulation"
             problem = Problem("file", found, expected="FMI 2 or 3 with co-simulation")
             raise problem.error()
         return FmuController(self, description, model, timestep)
 
 
 class FmuController(Controller):
-    """Steps a unit in every step of the simulation.
-
-    Args:
-        timestep: s between two steps.
+    """Advances an FMU in each simulation step.
 
     Raises:
-        DeclarationError: its variables do not fit the robot.
+        DeclarationError: the variables of the FMU do not match the robot.
     """
 
     def __init__(self, declared: Fmu, description: Any, model: RobotModel, timestep: float) -> None:
@@ -105,12 +102,13 @@ class FmuController(Controller):
         variables = description.modelVariables
         inputs = [each for each in variables if each.causality == "input"]
         outputs = [each for each in variables if each.causality == "output"]
-        meant = _meant([each.name for each in inputs], declared.inputs)
-        places = {name: _place(text, model.n, [*meant.values()]) for name, text in meant.items()}
+        values = _input_values([each.name for each in inputs], declared.inputs)
+        places = {name: _place(text, model.n, [*values.values()]) for name, text in values.items()}
         wrong = [name for name, place in places.items() if place is None]
         if wrong:
-            expected = f'inputs of {", ".join(VALUES)}, or inputs.{wrong[0]} = "..."'
-            raise Problem("inputs", found=", ".join(wrong[:5]), expected=expected).error()
+            expected = f'{", ".join(VALUES)}. Map other inputs with inputs."{wrong[0]}" = "..."'
+            reason = "the FMU has unknown inputs"
+            raise Problem("inputs", reason, found=", ".join(wrong[:5]), expected=expected).error()
         fitting = {name: place for name, place in places.items() if place is not None}
         for each in inputs:
             _check_size(f"inputs.{each.name}", each, fitting[each.name].joints.size)
@@ -128,24 +126,18 @@ class FmuController(Controller):
         self._unit: Any = None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques of this step, (n,).
-
-        Raises:
-            SimulationError: the unit cannot be initialised, or fails.
-        """
         if self._unit is None:
             self._begin(sensed)
         if self._state is not None:
             self._state.fill(1, sensed, target)
         try:
             self._exchange(sensed.time, out)
-        except Exception as error:  # of FMPy
+        except Exception as error:  # FMPy raises many kinds
             self.close()
             what = f"{self._declared.file}: {error or type(error).__name__}"
             raise SimulationError(sensed.time, self._model.name, what) from error
 
     def close(self) -> None:
-        """Ends the unit; harmless when it has ended."""
         if self._unit is not None:
             self._end()
         self._unit = None
@@ -176,42 +168,47 @@ class FmuController(Controller):
             else:
                 unit.enterInitializationMode()
             unit.exitInitializationMode()
-        except Exception as error:  # of FMPy, or of the loader of libraries
+        except Exception as error:  # FMPy and the loader of libraries raise many kinds
             remove_leftover(Path(folder))
-            what = f"{self._declared.file} cannot be initialised: {error or type(error).__name__}"
+            what = f"{self._declared.file} cannot be initialized: {error or type(error).__name__}"
             raise SimulationError(sensed.time, self._model.name, what) from error
         self._unit = unit
         self._end = weakref.finalize(self, _end, unit, folder)
-        # FMPy's own methods make new arrays at every call, which takes longer than the unit.
+        # The methods of FMPy allocate arrays in every call, which can take longer than the FMU.
         count = len(self._places)
-        self._given: Array = np.zeros(max(count, 1))
-        self._taken: Array = np.zeros(self._model.n)
+        self._input_buffer: Array = np.zeros(max(count, 1))
+        self._output_buffer: Array = np.zeros(self._model.n)
         self._references = (
             (ctypes.c_uint32 * max(len(self._inputs), 1))(*self._inputs),
             (ctypes.c_uint32 * len(self._outputs))(*self._outputs),
         )
         double = ctypes.POINTER(ctypes.c_double)
-        self._arrays = self._given.ctypes.data_as(double), self._taken.ctypes.data_as(double)
+        self._pointers = (
+            self._input_buffer.ctypes.data_as(double),
+            self._output_buffer.ctypes.data_as(double),
+        )
 
     def _exchange(self, time: float, out: Array) -> None:
-        unit, (inputs, outputs), (given, taken) = self._unit, self._references, self._arrays
-        self._given[: len(self._places)] = self._numbers[self._places]
+        unit, (inputs, outputs), (sent, received) = self._unit, self._references, self._pointers
+        self._input_buffer[: len(self._places)] = self._numbers[self._places]
         if self._is_3:
             if self._inputs:
                 unit.fmi3SetFloat64(
-                    unit.component, inputs, len(self._inputs), given, len(self._places)
+                    unit.component, inputs, len(self._inputs), sent, len(self._places)
                 )
             unit.doStep(time, self._timestep)
-            unit.fmi3GetFloat64(unit.component, outputs, len(self._outputs), taken, self._model.n)
+            unit.fmi3GetFloat64(
+                unit.component, outputs, len(self._outputs), received, self._model.n
+            )
         else:
             if self._inputs:
-                unit.fmi2SetReal(unit.component, inputs, len(self._inputs), given)
+                unit.fmi2SetReal(unit.component, inputs, len(self._inputs), sent)
             unit.doStep(time, self._timestep)
-            unit.fmi2GetReal(unit.component, outputs, len(self._outputs), taken)
-        out[:] = self._taken
+            unit.fmi2GetReal(unit.component, outputs, len(self._outputs), received)
+        out[:] = self._output_buffer
 
     def __getstate__(self) -> Any:
-        raise TypeError("a loaded FMU is of this process")
+        raise TypeError("a loaded FMU cannot be pickled")
 
 
 class _Place(NamedTuple):
@@ -219,20 +216,21 @@ class _Place(NamedTuple):
     joints: Any
 
 
-def _meant(names: Sequence[str], wanted: Mapping[str, str]) -> dict[str, str]:
+def _input_values(names: Sequence[str], wanted: Mapping[str, str]) -> dict[str, str]:
     vectors = {name: found["name"] for name in names if (found := _ELEMENT.match(name))}
     available = {*names, *vectors.values()}
     for name in wanted:
         if name not in available:
-            raise Problem(f"inputs.{name}", "no input", found=name, available=available).error()
-    meant = {}
+            reason = "the FMU has no input"
+            raise Problem(f"inputs.{name}", reason, found=name, available=available).error()
+    values = {}
     for name in names:
         vector = vectors.get(name, "")
         default = name
-        if vector in wanted:  # `q_3` of `q = "angles"` is `angles_3`
+        if vector in wanted:  # `q = "angles"` maps `q_3` to `angles_3`
             default = wanted[vector] + name.removeprefix(vector)
-        meant[name] = wanted.get(name, default)
-    return meant
+        values[name] = wanted.get(name, default)
+    return values
 
 
 def _place(text: str, n: int, names: Sequence[str]) -> _Place | None:
@@ -259,9 +257,9 @@ def _first(name: str, names: Sequence[str]) -> int:
 
 
 def _check_size(key: str, variable: Any, expected: int) -> None:
-    size = int(np.prod(variable.shape or ()))  # 1 for a scalar, all that FMI 2 has
+    size = int(np.prod(variable.shape or ()))  # 1 for a scalar; FMI 2 has only scalars
     if size != expected:
-        of = f"number{'s' * (size != 1)} in variable {variable.name} of the unit"
+        of = f"number{'s' * (size != 1)} in variable {variable.name} of the FMU"
         raise Problem(key, found=size, of=of, expected=expected).error()
 
 
@@ -282,8 +280,9 @@ def _torques(outputs: Sequence[Any], name: str, n: int) -> list[int]:
     }
     if sorted(by_joint) != [*range(n)]:
         found_names = ", ".join(names[:10]) or "none"
-        expected = f'{name}, or {name}[1] to {name}[{n}]; output = "..." names them otherwise'
-        raise Problem("output", found=f"the outputs {found_names}", expected=expected).error()
+        expected = f"{name}, or {name}[1] to {name}[{n}]. Set output to a different name"
+        reason = f"the FMU has the outputs {found_names}"
+        raise Problem("output", reason, expected=expected).error()
     return [by_joint[joint] for joint in range(n)]
 
 
@@ -291,7 +290,8 @@ def _parameters(variables: Sequence[Any], wanted: Mapping[str, float]) -> dict[i
     known = {each.name: each for each in variables if each.causality == "parameter"}
     for name in wanted:
         if name not in known:
-            raise Problem(f"parameters.{name}", "no parameter", found=name, available=known).error()
+            reason = "the FMU has no parameter"
+            raise Problem(f"parameters.{name}", reason, found=name, available=known).error()
     return {known[name].valueReference: value for name, value in wanted.items()}
 
 
@@ -299,6 +299,6 @@ def _end(unit: Any, folder: str) -> None:
     try:
         unit.terminate()
         unit.freeInstance()
-    except Exception:  # of a unit that has failed
+    except Exception:  # the FMU has failed before
         pass
     remove_leftover(Path(folder))

@@ -162,7 +162,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         own = unmounted(robots[robot], base_frames(robots)[robot])
         if scenario.run.torque_control:
             gains = LoopGains.of(own.torque_control, robot_dynamics(own), own.elastic_joints)
-            own = gains.felt(own)
+            own = gains.shaped(own)
         model = self._compiler.robot_model(own, scenario.run.gravity)
         self._agent = AgentController(self._action, robots[robot], model, timestep)
         self.scenario = copy.copy(scenario)

@@ -19,8 +19,7 @@ from mcap.writer import MCAP0_MAGIC
 
 from ...base.errors import Problem, RecordingError, UnknownName, first_of
 from ...base.paths import BAG_ENDINGS, bag_file_in, bag_files_in, open_file
-from ...data.receive.routed_joints import RoutedJoint
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, Source
 from ...data.record.formats import mcap_header, open_recording
 from ...data.record.mcap_reader import NOT_CLOSED
 from ...data.record.recording import PacketFile, RecordedSource
@@ -32,7 +31,7 @@ from .joined_packets import FRAMES, TF, JoinedPackets
 from .json_mcap import JsonMcap, has_json
 from .messages import JOINT_STATE, ODOMETRY, TEXT, MalformedMessage, type_store
 from .repaired_bags import RepairedMcap, log_of, with_log
-from .ros_source import MAX_KEPT_BYTES, TYPES, RosSource, is_tf
+from .ros_source import MAX_REJECTED_BYTES, TYPES, RosSource, is_tf
 
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is named .bag.active until it is closed
 _METADATA = "metadata.yaml"  # in the folder of a rosbag2
@@ -383,7 +382,7 @@ class Bag(PacketFile):
             table["topics"] = {"joint_states": source.joint_states, **fields}
         return table
 
-    def lead(self, scene: Scene, source: str | None = None) -> Scene:
+    def move_robot(self, scene: Scene, source: str | None = None) -> Scene:
         return led_by(scene, self, self.nameless, self._read_parent_frames, source)
 
     def _read_parent_frames(self) -> dict[str, tuple[str, bool]]:
@@ -472,4 +471,4 @@ class Bag(PacketFile):
             if reason not in self.faults and len(self._skip_reasons) < _MAX_LISTED:
                 self._skip_reasons.add(reason)
                 self.faults.append(reason)
-            return joined.layout.never(raw[:MAX_KEPT_BYTES])
+            return joined.layout.never(raw[:MAX_REJECTED_BYTES])

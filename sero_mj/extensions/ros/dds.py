@@ -1,7 +1,7 @@
-"""`Ros2`: topics of ROS 2 over DDS with Cyclone DDS; no ROS is needed.
+"""`Ros2`: ROS 2 topics over DDS. It uses Cyclone DDS and needs no ROS installation.
 
-In DDS, ROS 2 names a topic `/x` `rt/x`, and a type `pkg/msg/T` `pkg::msg::dds_::T_`. Tested with
-publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
+The DDS name of the topic `/x` is `rt/x`, and that of the type `pkg/msg/T` is `pkg::msg::dds_::T_`.
+This was tested with publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -22,26 +22,26 @@ from pydantic import AfterValidator, Field, PrivateAttr
 from ...base.errors import Problem, SourceError
 from ...data.receive.connecting import is_address
 from . import messages
-from .ros_source import TYPES, Listener, RosSource, ros_type, topic_problem
+from .ros_source import NO_MESSAGES, TYPES, Listener, RosSource, ros_type, topic_problem
 
 LOCALHOST, SUBNET = "localhost", "subnet"
 MAX_DOMAIN = 232
-_AT_ONCE = 256  # messages that are taken together
+_BATCH = 256  # maximum number of messages read in one call
 _MAX_PUBLISHERS = 10_000
-_ASKS_EVERY = 2  # s between questions who is there
-_CHECK_INTERVAL = 1.0  # s between looks at the publishers, as long as nothing comes
+_DISCOVERY_INTERVAL = 2  # s between announcements of this participant
+_CHECK_INTERVAL = 1.0  # s between checks of the publishers while no messages arrive
 _BASE_TYPES = {"bool": "bool", "octet": "uint8", "byte": "uint8", "char": "uint8"}
 
 
 class Ros2(RosSource):
-    """Reads topics of ROS 2 and publishes nothing.
+    """Reads ROS 2 topics and publishes nothing.
 
     Attributes:
-        host: where the publishers are: `localhost` for this machine, `subnet` to find them by
+        host: location of the publishers: `localhost` for this machine, `subnet` to find them by
             multicast as ROS 2 does, or the address of a machine.
-        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
-        reliability: `best_effort` reads from all publishers; `reliable` requests lost messages
-            again, and receives nothing from best-effort publishers.
+        domain: ROS_DOMAIN_ID of the publishers (default: ROS_DOMAIN_ID of the environment, or 0).
+        reliability: `best_effort` to read from all publishers, or `reliable` to request lost
+            messages again, which receives nothing from best-effort publishers.
     """
 
     host: Annotated[
@@ -69,7 +69,7 @@ class Ros2(RosSource):
 
 
 class Readers:
-    """Reads a source's topics."""
+    """Reads the topics of a source."""
 
     def __init__(self, source: Ros2, listener: Listener) -> None:
         self._source, self._listener = source, listener
@@ -80,7 +80,7 @@ class Readers:
         ]
 
     def receive(self, _: socket.socket) -> None:
-        """Passes messages on; see `Source.start_receiving`."""
+        """Passes messages to the listener until the source is closed."""
         due = clock.monotonic() + _CHECK_INTERVAL
         while not self._source.closing.is_set():
             self.participant.wait(_CHECK_INTERVAL)
@@ -107,7 +107,7 @@ class Readers:
             return
         published = self.participant.published()
         if not published:
-            trouble = f"nobody publishes in domain {self.participant.domain}"
+            trouble = f"no publisher in domain {self.participant.domain}"
             if source.host == LOCALHOST:
                 trouble += " of this machine; set host = 'subnet' to search the network"
             source.note_trouble(trouble)
@@ -115,7 +115,7 @@ class Readers:
         wrong: list[str] = []
         for topic, content in source.topics:
             wrong += self._topic_problem(topic, TYPES[content], published)
-        source.note_trouble("; ".join(wrong) or "its publisher is silent")
+        source.note_trouble("; ".join(wrong) or NO_MESSAGES)
 
     def _topic_problem(self, topic: str, kind: str, published: list[Publication]) -> list[str]:
         wrong = topic_problem(topic, kind, ((each.topic, each.kind) for each in published))
@@ -127,7 +127,7 @@ class Readers:
             and self._source.reliability == "reliable"
             and not any(each.is_reliable for each in mine)
         ):
-            return [f"{topic} is published best effort: reliability = 'best_effort' reads it"]
+            return [f"{topic} is published as best effort; set reliability = 'best_effort'"]
         return []
 
 
@@ -136,36 +136,42 @@ class Publication:
     """A publisher of a topic.
 
     Attributes:
-        topic: with a `/` before it.
-        is_kept: whether late readers get the last messages (transient local).
+        topic: full name of the topic, with a leading `/`.
+        kind: message type, for example `sensor_msgs/msg/JointState`.
+        is_transient_local: whether late readers receive the last messages.
     """
 
     topic: str
     kind: str
     is_reliable: bool
-    is_kept: bool
+    is_transient_local: bool
 
 
 class Reader:
-    """A reader of a topic: raw messages.
+    """Reads raw messages of a topic.
 
     Args:
-        reader: of Cyclone DDS, of a type that `_raw_type` has made.
+        reader: reader of Cyclone DDS with a type of `raw_type`.
     """
 
     def __init__(self, reader: Any) -> None:
         self.reader = reader
 
     def take(self) -> Iterable[tuple[bytes, bytes]]:
-        """Takes what has come: each message, in CDR, and the number of its publisher."""
-        for sample in self.reader.take(_AT_ONCE):
+        """Yields each received message in CDR, and the id of its publisher."""
+        for sample in self.reader.take(_BATCH):
             if isinstance(sample, _Raw) and sample.data:
                 publisher = sample.sample_info.publication_handle
                 yield sample.data, int(publisher).to_bytes(8, "little")
 
 
 class Writer:
-    """A writer of a topic: raw messages. `kind`: its type, that `raw_type` has made."""
+    """Publishes raw messages of a topic.
+
+    Args:
+        writer: writer of Cyclone DDS.
+        kind: type of the messages, from `raw_type`.
+    """
 
     def __init__(self, writer: Any, kind: Any) -> None:
         self.writer, self._raw = writer, b""
@@ -173,22 +179,23 @@ class Writer:
         self._sample.serialize = lambda **_: self._raw
 
     def write(self, message: bytes) -> None:
-        """Publishes a message, in CDR; raises SourceError where it is none of this type."""
+        """Publishes a message in CDR. Raises SourceError if it does not match the type."""
         from cyclonedds.core import DDSException
 
         self._raw = message
         try:
             self.writer.write(self._sample)
         except DDSException as error:
-            raise SourceError("ros2", f"a message cannot be published: {error}") from error
+            raise SourceError("ros2", f"cannot publish a message: {error}") from error
 
 
 class Participant:
-    """A participant of a domain, with readers and writers; raises SourceError.
+    """A participant of a DDS domain, with readers and writers; raises SourceError.
 
     Args:
-        host: see `Ros2.host`.
-        domain: see `Ros2.domain`.
+        host: location of the other participants, see `Ros2`.
+        domain: ROS_DOMAIN_ID, see `Ros2`.
+        owner: name of the source or controller, for errors.
     """
 
     def __init__(self, host: str, domain: int | None, owner: str) -> None:
@@ -204,19 +211,25 @@ class Participant:
             self._end = core.GuardCondition(self._participant)
             self._publications = BuiltinDataReader(self._participant, BuiltinTopicDcpsPublication)
         except core.DDSException as error:
-            raise SourceError(owner, f"domain {self.domain} cannot be joined: {error}") from error
+            raise SourceError(owner, f"cannot join domain {self.domain}: {error}") from error
         self._waits.attach(self._end)
-        self._kept: list[Any] = []  # which Cyclone DDS would otherwise delete
+        self._entities: list[Any] = []  # references, without which Cyclone DDS deletes them
 
     def reader(
-        self, topic: str, kind: str, reliability: str = "best_effort", *, is_kept: bool = False
+        self,
+        topic: str,
+        kind: str,
+        reliability: str = "best_effort",
+        *,
+        is_transient_local: bool = False,
     ) -> Reader:
         """Returns a reader of a topic.
 
         Args:
-            topic: with a `/` before it.
-            reliability: see `Ros2.reliability`.
-            is_kept: whether it reads what was published before (transient local).
+            topic: full name of the topic, with a leading `/`.
+            kind: message type, for example `sensor_msgs/msg/JointState`.
+            reliability: `best_effort` or `reliable`, see `Ros2`.
+            is_transient_local: whether to receive messages that were published before.
         """
         core, qos = _cyclone("")
         from cyclonedds.sub import DataReader
@@ -224,26 +237,28 @@ class Participant:
         from cyclonedds.util import duration
 
         policy = qos.Policy
-        is_kept = is_kept or topic == "/tf_static"
+        is_transient_local = is_transient_local or topic == "/tf_static"
+        needs_reliable = is_transient_local or reliability == "reliable"
         reliable = policy.Reliability.Reliable(duration(seconds=1))
         policies = [
-            reliable if is_kept or reliability == "reliable" else policy.Reliability.BestEffort,
-            policy.Durability.TransientLocal if is_kept else policy.Durability.Volatile,
-            policy.History.KeepLast(_AT_ONCE),
+            reliable if needs_reliable else policy.Reliability.BestEffort,
+            policy.Durability.TransientLocal if is_transient_local else policy.Durability.Volatile,
+            policy.History.KeepLast(_BATCH),
         ]
         made = Topic(self._participant, f"rt{topic}", raw_type(kind))
         reader = DataReader(self._participant, made, qos=qos.Qos(*policies))
         state = core.ViewState.Any | core.InstanceState.Any | core.SampleState.NotRead
         condition = core.ReadCondition(reader, state)
         self._waits.attach(condition)
-        self._kept += [made, reader, condition]
+        self._entities += [made, reader, condition]
         return Reader(reader)
 
     def writer(self, topic: str, kind: str) -> Writer:
-        """Returns a writer of a topic, whose readers get the newest message.
+        """Returns a writer of a topic that stores only the newest message.
 
         Args:
-            topic: with a `/` before it.
+            topic: full name of the topic, with a leading `/`.
+            kind: message type, for example `sensor_msgs/msg/JointState`.
         """
         _, qos = _cyclone("")
         from cyclonedds.pub import DataWriter
@@ -258,21 +273,21 @@ class Participant:
         ]
         made = Topic(self._participant, f"rt{topic}", raw)
         writer = DataWriter(self._participant, made, qos=qos.Qos(*policies))
-        self._kept += [made, writer]
+        self._entities += [made, writer]
         return Writer(writer, raw)
 
     def published(self) -> list[Publication]:
-        """Everything that others publish in the domain."""
+        """Returns the publishers of other participants in the domain."""
         core, qos = _cyclone("")
         reliability, durability = qos.Policy.Reliability, qos.Policy.Durability
         own = self._participant.guid
-        # The entry of a publisher that has gone is not alive, and may lack even the topic's name.
+        # The entry of a publisher that has left is not alive, and may not even have a topic name.
         return [
             Publication(
                 sample.topic_name.removeprefix("rt"),
                 ros_type(sample.type_name),
                 is_reliable=isinstance(sample.qos[reliability], reliability.Reliable),
-                is_kept=sample.qos[durability] == durability.TransientLocal,
+                is_transient_local=sample.qos[durability] == durability.TransientLocal,
             )
             for sample in self._publications.read(_MAX_PUBLISHERS)
             if sample.sample_info.valid_data
@@ -282,17 +297,17 @@ class Participant:
         ]
 
     def wait(self, seconds: float) -> bool:
-        """Waits for messages; whether there are some."""
+        """Waits for messages. Returns whether any have arrived."""
         from cyclonedds.util import duration
 
         return bool(self._waits.wait(duration(nanoseconds=round(max(seconds, 0.0) * 1e9))))
 
     def wake(self) -> None:
-        """Ends the present `wait` and all later ones at once."""
+        """Makes the current call of `wait` and all later calls return immediately."""
         self._end.set(True)
 
     def close(self) -> None:
-        self._kept.clear()
+        self._entities.clear()
         del self._publications, self._waits, self._end, self._participant
 
 
@@ -303,7 +318,7 @@ class _Raw:
 
 
 def domain_number(domain: int | None) -> int:
-    """Returns the number of a domain (default: that of the environment, or 0)."""
+    """Returns the number of a domain (default: ROS_DOMAIN_ID of the environment, or 0)."""
     if domain is not None:
         return domain
     with suppress(ValueError):
@@ -315,13 +330,13 @@ def _cyclone(owner: str) -> tuple[Any, Any]:
     try:
         from cyclonedds import core, qos
     except ImportError as error:
-        reason = f"ROS 2 needs Cyclone DDS ({error}): pip install 'sero-mj[ros2]'"
+        reason = f"ROS 2 requires Cyclone DDS ({error}): pip install 'sero-mj[ros2]'"
         raise SourceError(owner, reason) from error
     return core, qos
 
 
-# Number to host, domain, and a participant that stays: what others announce while a process has
-# none would be lost to the next one.
+# Mapping from domain numbers to host, domain, and a participant. This participant is never closed,
+# because announcements of others are lost while a process has no participant.
 _domains: dict[int, tuple[str, Any, Any]] = {}
 _lock = threading.Lock()
 
@@ -333,8 +348,8 @@ def _configure(number: int, host: str, owner: str) -> None:
         if number in _domains:
             other = _domains[number][0]
             if other != host:
-                reason = f"found host '{host}'; domain {number} is open with host '{other}'"
-                raise SourceError(owner, Problem("", reason, expected="one host for each domain"))
+                reason = f"host is '{host}', but domain {number} is open with host '{other}'"
+                raise SourceError(owner, Problem("", reason, expected="one host per domain"))
             return
         domain = Domain(number, _configuration(host))
         _domains[number] = host, domain, DomainParticipant(number)
@@ -345,13 +360,14 @@ def _configuration(host: str) -> str:
     peer = "127.0.0.1" if host == LOCALHOST else host
     peers = "" if host == SUBNET else f"<Peers><Peer Address={quoteattr(peer)}/></Peers>"
     own = (
-        # Fast DDS of ROS 2 Kilted describes types in a way that nothing of Cyclone DDS matches.
+        # Fast DDS of ROS 2 Kilted describes types in a way that Cyclone DDS never matches.
         "<CycloneDDS><Domain><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation>"
         f"</Compatibility><General><AllowMulticast>{multicast}</AllowMulticast></General>"
         f"<Discovery>{peers}<ParticipantIndex>auto</ParticipantIndex>"
         "<MaxAutoParticipantIndex>32</MaxAutoParticipantIndex>"
-        # Fast DDS content of itself by multicast alone: who comes late, or again, is asked for.
-        f"<SPDPInterval>{_ASKS_EVERY}s</SPDPInterval>"
+        # Fast DDS announces itself only by multicast. Announcing this participant repeatedly finds
+        # participants that start later or restart.
+        f"<SPDPInterval>{_DISCOVERY_INTERVAL}s</SPDPInterval>"
         "<InitialLocatorPruneDelay>inf</InitialLocatorPruneDelay></Discovery></Domain></CycloneDDS>"
     )
     return ",".join(filter(None, (own, os.environ.get("CYCLONEDDS_URI"))))
@@ -359,7 +375,11 @@ def _configuration(host: str) -> str:
 
 @cache
 def raw_type(kind: str) -> Any:
-    """A type of Cyclone DDS whose messages stay as they are: in CDR. `kind`: as ROS has it."""
+    """Returns a type of Cyclone DDS whose messages are not decoded.
+
+    Args:
+        kind: ROS name of the type, for example `sensor_msgs/msg/JointState`.
+    """
     made = _idl_type(kind)
     made.deserialize = staticmethod(lambda data, **_: _Raw(data))
     made.deserialize_key = staticmethod(lambda data, **_: _Raw(b""))

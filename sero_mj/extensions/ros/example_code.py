@@ -1,4 +1,4 @@
-"""Example code for nodes of ROS 2: `sero-mj new --snippet ros2`."""
+"""Example code for ROS 2 nodes: `sero-mj new --snippet ros2`."""
 
 from __future__ import annotations
 

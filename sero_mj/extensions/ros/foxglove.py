@@ -1,9 +1,9 @@
-"""`Foxglove`: topics of ROS 2 from the WebSocket of foxglove_bridge; no DDS is needed.
+"""`Foxglove`: ROS 2 topics from the WebSocket of foxglove_bridge, without DDS.
 
-A server lists its topics in JSON, and sends the messages of subscribed topics: an opcode of 1 byte,
-the subscription id (uint32), a time of 8 bytes, and the message in CDR, all little-endian. The
-client sends only subscriptions. The protocol is v1 of Foxglove's SDK, and its predecessor, which
-has the same messages.
+The server lists its topics in JSON. Each message of a subscribed topic consists of an opcode of
+1 byte, the subscription id (uint32), a time of 8 bytes, and the message in CDR, all little-endian.
+The client sends only subscriptions. The protocol is version 1 of Foxglove's SDK. The older protocol
+`foxglove.websocket.v1` has the same messages.
 """
 
 from __future__ import annotations
@@ -21,7 +21,15 @@ from pydantic import BaseModel, Field
 from ...data.receive import connecting
 from ...data.receive.connecting import Address
 from ...data.receive.receiving_thread import Closing, Disconnected
-from .ros_source import MAX_KEPT_BYTES, TYPES, Listener, RosSource, ros_type, topic_problem
+from .ros_source import (
+    MAX_REJECTED_BYTES,
+    NO_MESSAGES,
+    TYPES,
+    Listener,
+    RosSource,
+    ros_type,
+    topic_problem,
+)
 
 if TYPE_CHECKING:
     from websockets.sync.client import ClientConnection
@@ -29,25 +37,26 @@ if TYPE_CHECKING:
 PORT = 8765
 SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 ENCODING = "cdr"
-_DATA = 1  # the opcode of messages of topics; others are not asked for
+_DATA = 1  # opcode of topic messages; the client does not request any others
 _HEAD = struct.Struct("<BIQ")
-_MAX_BYTES = 1 << 26  # of what comes at once; a list of topics has all of their definitions
-_CHECK_INTERVAL = 1.0  # s between looks at the topics, as long as nothing comes
-_CLOSE_TIMEOUT = 0.2  # s for the peer's part in ending a connection
-_WARNING = 1  # the lowest level of what a server says that is told
-_MAX_SAID, _MAX_SHOWN = 200, 80  # characters of what it says, and of what is not understood
+_MAX_BYTES = 1 << 26  # of one WebSocket message; the list of topics contains all type definitions
+_CHECK_INTERVAL = 1.0  # s between checks of the topics while no messages arrive
+_CLOSE_TIMEOUT = 0.2  # s; timeout of the peer's closing handshake
+_WARNING = 1  # lowest level of status messages that are shown
+_MAX_STATUS, _MAX_SHOWN = 200, 80  # characters of a status message, and of an unknown message
 _MAX_TOPICS = 100_000
 
 
 class Foxglove(RosSource):
     """Reads topics from a Foxglove server, such as `foxglove_bridge`, and publishes nothing.
 
-    It reconnects when the connection is lost. Topics may appear later.
+    The source reconnects when the connection is lost. Topics may appear after it has connected.
 
     Attributes:
         host: address of the server.
         port: port of the server.
-        tls: whether the connection is encrypted (`wss://`), with a trusted certificate.
+        tls: whether to use an encrypted connection (`wss://`), which requires a trusted
+            certificate.
     """
 
     name: str = "foxglove"
@@ -90,33 +99,33 @@ class _Unadvertised(BaseModel):
     channel_ids: list[int] = Field(alias="channelIds")
 
 
-class _Said(BaseModel):
+class _Status(BaseModel):
     level: int
     message: str
 
 
 class Client:
-    """Reads a source's topics."""
+    """Reads the topics of a source."""
 
     def __init__(self, source: Foxglove, listener: Listener) -> None:
         self._source, self._listener = source, listener
         self._channels: dict[int, _Channel] = {}
-        self._subscribed: dict[int, tuple[int, str]] = {}  # number to channel, and what it content
-        self._is_reconnecting = False  # nothing has come since it connected, but before
-        self._number = 0  # of the last subscription
-        self._socket: socket.socket | None = None  # ends the connection, whoever waits for it
+        self._subscribed: dict[int, tuple[int, str]] = {}  # subscription id to channel and content
+        self._is_reconnecting = False  # no message since this connection, but some before
+        self._number = 0  # id of the last subscription
+        self._socket: socket.socket | None = None  # to end the connection from another thread
         self._connection: ClientConnection | None = None
 
     def interrupt(self) -> None:
-        """Ends the connection; after `closing` of the source is set."""
+        """Ends the connection. The source must have set `closing` before."""
         if (connection := self._connection) is not None:
             connection.close()
         if (duplicate := self._socket) is not None:
-            with suppress(OSError):  # for all who use it
+            with suppress(OSError):  # shuts down the original of this duplicate, too
                 duplicate.shutdown(socket.SHUT_RDWR)
 
     def receive(self, wake: socket.socket) -> None:
-        """Connects and receives once; see `Source.start_receiving`."""
+        """Connects, and receives until the connection ends; raises Disconnected or Closing."""
         from websockets.exceptions import (
             ConnectionClosed,
             InvalidMessage,
@@ -127,16 +136,16 @@ class Client:
         try:
             self._connect(wake)
         except ConnectionClosed as error:
-            said = "" if error.rcvd is None else error.rcvd.reason[:_MAX_SAID]
-            reason = "it closed the connection" + (f": {said}" if said else "")
+            said = "" if error.rcvd is None else error.rcvd.reason[:_MAX_STATUS]
+            reason = "the server closed the connection" + (f": {said}" if said else "")
         except (InvalidMessage, EOFError):
-            reason = "no server for Foxglove: its answer is no HTTP"
+            reason = "not a Foxglove server: the answer is not HTTP"
         except TimeoutError as error:
-            reason = error.strerror or "does not answer as a server for Foxglove"
+            reason = error.strerror or "does not answer like a Foxglove server"
         except OSError as error:
             reason = f"{error.strerror or error}"
-        except (WebSocketException, ValueError) as error:  # the latter of redirections
-            reason = f"no server for Foxglove: {str(error)[:_MAX_SAID]}"
+        except (WebSocketException, ValueError) as error:  # ValueError: invalid redirection
+            reason = f"not a Foxglove server: {str(error)[:_MAX_STATUS]}"
         raise Disconnected(f"{url}: {reason}")
 
     def _connect(self, wake: socket.socket) -> None:
@@ -167,7 +176,7 @@ class Client:
                     **options,
                 ) as connection:
                     if connection.subprotocol is None:
-                        raise InvalidHandshake("it does not speak this protocol")
+                        raise InvalidHandshake("the server does not support this protocol")
                     self._connection = connection
                     if not source.closing.is_set():
                         self._converse(connection)
@@ -199,11 +208,11 @@ class Client:
             return
         if len(received) < _HEAD.size:
             layout = self._source.layout
-            layout.fault = f"{len(received)} bytes that are no message: they end in its head"
-            self._source.accept([layout.never(received[:MAX_KEPT_BYTES])])
+            layout.fault = f"{len(received)} bytes are too short for the header of a message"
+            self._source.accept([layout.never(received[:MAX_REJECTED_BYTES])])
             return
         _, number, _ = _HEAD.unpack_from(received)
-        if number in self._subscribed:  # else it was on its way when its topic was withdrawn
+        if number in self._subscribed:  # otherwise, the server has just withdrawn the topic
             _, content = self._subscribed[number]
             if self._is_reconnecting:
                 self._is_reconnecting = False
@@ -222,13 +231,12 @@ class Client:
             elif operation == "unadvertise":
                 self._withdraw(_Unadvertised.model_validate_json(text).channel_ids)
             elif operation == "status":
-                said = _Said.model_validate_json(text)
-                if said.level >= _WARNING:
-                    self._source.log_once(f"the server says: {said.message[:_MAX_SAID]}")
+                status = _Status.model_validate_json(text)
+                if status.level >= _WARNING:
+                    self._source.log_once(f"server message: {status.message[:_MAX_STATUS]}")
         except (ValueError, AttributeError, RecursionError):
-            self._source.log_once(
-                f"{self._source.url} content what is not understood: {text[:80]!r}"
-            )
+            shown = repr(text[:_MAX_SHOWN])
+            self._source.log_once(f"{self._source.url} has sent an unknown message: {shown}")
 
     def _advertise(self, channels: list[_Channel], connection: ClientConnection) -> None:
         self._source.note_trouble("")
@@ -266,7 +274,7 @@ class Client:
         if not self._channels:
             self._source.note_trouble(f"{self._source.url} has no topics")
         else:
-            self._source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
+            self._source.note_trouble("; ".join(filter(None, wrong)) or NO_MESSAGES)
 
     def _topic_problem(self, topic: str, kind: str) -> str:
         channels = self._channels.values()

@@ -1,8 +1,8 @@
-"""Joins messages of ROS to packets: the newest values of all topics, in the order of the joints.
+"""Joins ROS messages to packets with the newest values of all topics, in the robot's joint order.
 
-Messages name their joints, in any order, and one robot's joints may come from several publishers
-(arm and gripper). A packet is made of each message that has the first of the joints; what others
-have told until then is in it.
+Messages name their joints in any order, and several publishers can send joints of one robot (arm
+and gripper). Each message that contains the robot's first published joint completes a packet. The
+packet includes the newest values of all other messages.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
+from ...data.receive.source import RoutedJoint, RoutedLinks
 from ...data.receive.structure import Structure
 from ...data.record.csv_files import JOINT_EVENTS, prefix_before
 from .link_transforms import LinkTransforms
@@ -22,25 +22,27 @@ from .messages import MalformedMessage
 
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
 ODOMETRY, POSE = "odometry", "pose"
-TF = "tf"  # in the place of a topic: what it would tell is solved from transforms
+TF = "tf"  # instead of a topic: the values are computed from transforms
 _MAX_LISTED = 8  # names in a message
-_PATIENCE = 2.0  # s in which every publisher of joints should have sent a message
-_FAR_TOO_MUCH = 3.0  # times the largest torque
-_UNIT_TOLERANCE = 1e-2  # of a quaternion's length
+_PATIENCE = 2.0  # s; every publisher of joints should send a message within this time
+_IMPLAUSIBLE = 3.0  # efforts above this multiple of the torque limit are reported
+_UNIT_TOLERANCE = 1e-2  # tolerance of a quaternion's norm
 
 
 class JoinedPackets:
-    """Packets of messages.
+    """Joins the messages of one source to packets.
 
-    Angles are in rad (m), torques in Nm (N). What no message has told is NaN, but for angles, which
-    stay as the robot declares them.
+    Angles are in rad or m, torques in Nm or N. Values that no message has contained are NaN, except
+    for angles, which keep the values that the robot declares.
 
     Args:
-        odometry: whether there is the pose of the base: `ODOMETRY` by its topic, `TF` by
-            transforms, empty for none.
-        joints_by: `TF` where transforms of links tell the angles; else empty.
-        links: of the robot, for transforms and odometry; None where it is unknown.
-        torque_constants: torque per unit of effort, one for all, or (n,).
+        names: mapping from the robot's joint names to different names in messages.
+        odometry: origin of the base pose: `ODOMETRY` for the odometry topic, `TF` for transforms,
+            empty if there is no base pose.
+        joints_by: `TF` if angles are computed from transforms of links, otherwise empty.
+        links: links of the robot, for transforms and odometry; None if the robot is unknown.
+        torque_constants: torque per unit of effort, a scalar or shape (n,).
+        report: called with each warning for the user.
     """
 
     def __init__(
@@ -101,13 +103,13 @@ class JoinedPackets:
             FORCES: has_forces,
         }
         self.leads = next((topic for topic, is_wanted in orders.items() if is_wanted), FRAMES)
-        self._first = count  # the first joint that any message had so far
-        self._first_body = np.inf  # the same of bodies and transforms
+        self._first = count  # lowest joint index in all messages so far
+        self._first_body = np.inf  # lowest body index in all transforms so far
         self._awaited = set(self._wanted)  # joints without values so far
-        self._report_due = np.inf  # time, s, at which they are told
-        self._found: list[str] | None = None  # names in the last message
+        self._report_due = np.inf  # time at which missing joints are reported, s
+        self._found: list[str] | None = None  # joint names in the last message
         self._mine = self._theirs = np.arange(0)
-        self._has_doubts = False  # whether efforts are torques
+        self._is_effort_reported = False
         self._parents: dict[str, tuple[str, Array]] = {}
 
     def _linked(self, links: RoutedLinks | None, wanted: Sequence[str]) -> LinkTransforms | None:
@@ -115,8 +117,8 @@ class JoinedPackets:
             return None
         if wanted and not links.poses:
             self._report(
-                "the robot does not say where the links of its original file are, so transforms "
-                "do not move it; a robot from URDF or MJCF does (link_frames)"
+                "transforms cannot move the robot, because it does not declare link_frames. "
+                "Import the robot from URDF or MJCF"
             )
         return LinkTransforms(links, self._report)
 
@@ -125,12 +127,15 @@ class JoinedPackets:
         return MessageLayout(self.structure)
 
     def take(self, topic: str, message: Any, arrival: float) -> bytes | None:
-        """Takes a message; returns the packet that it makes, or None; raises MalformedMessage.
+        """Stores the values of a message. Returns the packet that it completes, or None.
 
         Args:
-            topic: what it content: `JOINT_STATES` and so on.
-            message: as `messages.decode` returns it.
-            arrival: s since the epoch, in the place of stamps that are not set.
+            topic: content of the topic, for example `JOINT_STATES`.
+            message: decoded message, see `messages.decode`.
+            arrival: arrival time in seconds since the epoch, which replaces a stamp of 0.
+
+        Raises:
+            MalformedMessage: the message is inconsistent.
         """
         values = self._values.copy()
         makes = topic == self.leads
@@ -151,7 +156,7 @@ class JoinedPackets:
         if makes:
             stamp = 0.0 if header is None else header.stamp.sec + 1e-9 * header.stamp.nanosec
             values[0] = stamp or arrival
-        # Angles are kept only if they are finite, or unknown as before; the rest may be unknown.
+        # Values are stored only if each angle is finite, or is unknown (NaN) as before.
         angles = self._places.get("joint_angles", slice(0))
         known, before = np.isfinite(values[angles]), np.isnan(self._values[angles])
         if (known | before & np.isnan(values[angles])).all():
@@ -169,7 +174,7 @@ class JoinedPackets:
             into = values[self._places[event]]
             if len(numbers) not in (0, count or len(self._joints)):
                 raise MalformedMessage(
-                    f"found {len(numbers)} values of {event} for {count} names of joints"
+                    f"found {len(numbers)} values of {event} for {count} joint names"
                 )
             if len(numbers):
                 into[self._mine] = numbers[self._theirs]
@@ -192,7 +197,7 @@ class JoinedPackets:
             self._mine = np.arange(count if matches else 0)
             self._theirs = self._mine
             if count:
-                said = "taken in the robot's order" if matches else "not used"
+                said = "read in the robot's joint order" if matches else "ignored"
                 self._report(f"messages of {count} joints without names are {said}")
             return
         prefix = prefix_before(self._wanted, names)
@@ -206,15 +211,15 @@ class JoinedPackets:
         self._mine = np.array([joint for joint, _ in pairs], np.intp)
         self._theirs = np.array([place for _, place in pairs], np.intp)
         if prefix:
-            self._report(f"joints are named with {prefix!r} before the robot's names")
+            self._report(f"joint names in messages have the prefix {prefix!r}")
         others = [name for k, name in enumerate(names) if k not in self._theirs]
         if not pairs:
             self._report(
-                f"messages of the joints {_listed(names)} have none of {_listed(self._wanted)}; "
-                "joints = [...] says how they are named"
+                f"messages with the joints {_listed(names)} contain none of "
+                f"{_listed(self._wanted)}. Set joints = [...] to the names in messages"
             )
         elif others:
-            self._report(f"the robot has no {_listed(others)}: not used")
+            self._report(f"ignoring joints that the robot does not have: {_listed(others)}")
 
     def _report_missing_joints(self, arrival: float) -> None:
         if not self._awaited or len(self._awaited) == len(self._wanted):
@@ -223,28 +228,28 @@ class JoinedPackets:
         if arrival >= self._report_due:
             missing = [name for name in self._wanted if name in self._awaited]
             self._report(
-                f"no values of {_listed(missing)} in {_PATIENCE:g} s; they stay as declared until "
-                "messages have them"
+                f"no message has contained {_listed(missing)} within {_PATIENCE:g} s; these joints "
+                "keep their declared angles"
             )
             self._awaited.clear()
 
     def _check_torques(self, torques: Array) -> None:
-        if self._has_doubts:
+        if self._is_effort_reported:
             return
         with np.errstate(invalid="ignore"):
-            wrong = np.abs(torques) > _FAR_TOO_MUCH * self._limits
+            wrong = np.abs(torques) > _IMPLAUSIBLE * self._limits
         if wrong.any():
-            self._has_doubts, k = True, int(np.argmax(wrong))
+            self._is_effort_reported, k = True, int(np.argmax(wrong))
             self._report(
-                f"the effort of {self._wanted[k]} is {torques[k]:.4g}, where the robot's limit is "
-                f"{self._limits[k]:g} Nm; is it in other units? effort_unit and torque_constants "
-                "convert it"
+                f"the effort of {self._wanted[k]} is {torques[k]:.4g}, but its torque limit is "
+                f"{self._limits[k]:g} Nm. If efforts are not in Nm, set effort_unit and "
+                "torque_constants"
             )
 
     def _take_commands(self, values: Array, message: Any) -> None:
         if len(message.data) != len(self._joints):
             found = f"found {len(message.data)} commanded torques"
-            raise MalformedMessage(f"{found}; expected {len(self._joints)}, one for each joint")
+            raise MalformedMessage(f"{found}; expected {len(self._joints)}, one per joint")
         values[self._places["commanded_torques"]] = message.data
 
     def _take_pose(self, values: Array, message: Any, topic: str) -> None:
@@ -252,7 +257,7 @@ class JoinedPackets:
         moved, turned = geometry.position, geometry.orientation
         pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
         if pose is None:
-            raise MalformedMessage(f"the orientation of the {topic} is no unit quaternion")
+            raise MalformedMessage(f"the orientation of the {topic} is not a unit quaternion")
         if topic == POSE:
             values[self._places["pose"]] = pose[:3].T.ravel()
             return
@@ -261,7 +266,7 @@ class JoinedPackets:
             ("base_angular_velocity", message.twist.twist.angular),
         ):
             values[self._places[event]] = vector.x, vector.y, vector.z
-        if self._links is not None:  # the pose of another link
+        if self._links is not None:  # the message may contain the pose of a link, not of the base
             angles = values[self._places["joint_angles"]] if self._joints else None
             link = message.child_frame_id.lstrip("/")
             pose = pose @ inverse(self._links.in_base(link, angles))
@@ -274,7 +279,7 @@ class JoinedPackets:
             moved, turned = transform.transform.translation, transform.transform.rotation
             pose = _pose((moved.x, moved.y, moved.z), (turned.w, turned.x, turned.y, turned.z))
             if pose is None:
-                raise MalformedMessage(f"the rotation of {child} is no unit quaternion")
+                raise MalformedMessage(f"the rotation of {child} is not a unit quaternion")
             self._parents[child.lstrip("/")] = parent.lstrip("/"), pose
             if self._links is not None:
                 body = self._links.take(parent.lstrip("/"), child.lstrip("/"), pose)
@@ -305,20 +310,20 @@ class JoinedPackets:
 
 
 class MessageLayout(Structure):
-    """The layout of packets that are made of messages."""
+    """Layout of packets that are joined from messages."""
 
     message = "message"
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
-        return self.fault or f"{length} bytes that are no {self.message}"
+        return self.fault or f"{length} bytes that are not a {self.message}"
 
     def never(self, message: bytes) -> bytes:
-        """The bytes of a malformed message, of another length than packets have."""
+        """Returns the bytes of a malformed message, with a length that valid packets never have."""
         return message + b"\0" * (len(message) == self.size)
 
 
 def event_of_frame(name: str) -> str:
-    """The event with the pose of a frame."""
+    """Returns the name of the event with the pose of a frame."""
     return "tf_" + "".join(c if c.isalnum() and c.isascii() else "_" for c in name)
 
 

@@ -1,4 +1,4 @@
-"""Motions through points in time, as joint_trajectory_controller of ros2_control takes them."""
+"""Joint trajectories, interpolated like joint_trajectory_controller of ros2_control does."""
 
 from __future__ import annotations
 
@@ -17,19 +17,21 @@ _MAX_POINTS = 100_000
 
 
 class JointTrajectory:
-    """A `trajectory_msgs/JointTrajectory`, with the point from where it is entered.
+    """An interpolated `trajectory_msgs/JointTrajectory` that begins at the current state.
 
-    Between two points each joint follows a quintic where all points have accelerations, a cubic
-    where they have velocities, and a straight line else; efforts are interpolated linearly. The
-    last point is held.
+    If all points have accelerations, each joint follows quintic polynomials between points. If the
+    points have only velocities, the polynomials are cubic, otherwise linear. Efforts are
+    interpolated linearly. After the last point, the joints hold it.
 
     Args:
-        names: of the robot's joints, in its order; the message's order is its own.
-        now: s, on the clock of its stamp; a stamp of 0 means now. Points before it are left out.
-        entry: (2, n), angles and velocities from where it is entered, now.
+        names: joint names in the robot's order, which may differ from the order in the message.
+        now: current time on the clock of the message stamp, s. A stamp of 0 means `now`. Points
+            before `now` are skipped.
+        entry: joint angles and velocities at `now`, shape (2, n).
 
     Raises:
-        MalformedMessage: it is for other joints, its points are no motion, or it has ended.
+        MalformedMessage: the joint names or the points are invalid, or the last point is before
+            `now`.
     """
 
     def __init__(self, message: Any, names: list[str], now: float, entry: Array) -> None:
@@ -40,7 +42,7 @@ class JointTrajectory:
         stamp = _seconds(message.header.stamp)
         after = np.array([_seconds(point.time_from_start) for point in points])
         if not (np.diff(after, prepend=-1e-9) > 0.0).all():
-            raise _malformed("time_from_start", found=after.tolist(), expected="times that grow")
+            raise _malformed("time_from_start", found=after.tolist(), expected="increasing times")
         rows = {
             key: _rows(points, key, order)
             for key in (*_ORDERS, "effort")
@@ -52,7 +54,7 @@ class JointTrajectory:
         if times[-1] < now:
             raise _malformed("header.stamp", found=stamp, expected=f"an end after {now:.3f} s")
         first = min(int(np.searchsorted(times, now, side="right")), len(times) - 1)
-        derivatives = []  # (1 + points, n) each
+        derivatives = []  # one array per order, shape (1 + points, n)
         for key, begin in zip(_ORDERS, (*entry, np.zeros(len(names))), strict=True):
             if key not in rows:
                 break
@@ -64,7 +66,7 @@ class JointTrajectory:
         self._segments = _segments(self._times, np.array(derivatives))
 
     def at(self, time: float) -> tuple[Array, Array, Array]:
-        """Angles, velocities and efforts at a time, (n,) each; rad, rad/s, Nm, or m, m/s, N."""
+        """Returns joint angles, velocities and efforts at a time, shape (n,) each."""
         times = self._times
         k = int(np.searchsorted(times, time, side="right")) - 1
         if k >= len(times) - 1:
@@ -81,7 +83,7 @@ class JointTrajectory:
 def _segments(times: Array, derivatives: Array) -> Array:
     d = len(derivatives)
     durations = np.diff(times)
-    ends = np.zeros((2 * d, 2 * d))  # derivatives of the powers at 0 and at 1
+    ends = np.zeros((2 * d, 2 * d))  # derivatives of the monomials at u = 0 and u = 1
     for k in range(d):
         ends[k, k] = factorial(k)
         ends[d + k] = [perm(power, k) for power in range(2 * d)]
@@ -95,13 +97,13 @@ def _segments(times: Array, derivatives: Array) -> Array:
 
 def _order(found: list[str], names: list[str]) -> list[int]:
     if len(found) != len(set(found)):
-        raise _malformed("joint_names", "has a joint twice", found=found)
+        raise _malformed("joint_names", "contains a joint twice: found", found=found)
     for name in found:
         if name not in names:
             raise _malformed("joint_names", "no joint", found=name, available=names)
     missing = [name for name in names if name not in found]
     if missing:
-        raise _malformed("joint_names", f"without {', '.join(missing)}", expected="all joints")
+        raise _malformed("joint_names", f"{', '.join(missing)} missing", expected="all joints")
     return [found.index(name) for name in names]
 
 
@@ -113,7 +115,8 @@ def _rows(points: list[Any], key: str, order: list[int]) -> Array:
             raise _malformed(where, found=len(row), of="numbers", expected=len(order))
     table: Array = np.array(rows, dtype=float)[:, order]
     if not np.isfinite(table).all():
-        raise _malformed(f"points[{int(np.argmin(np.isfinite(table).all(1)))}].{key}", "not finite")
+        number = int(np.argmin(np.isfinite(table).all(1)))
+        raise _malformed(f"points[{number}].{key}", "contains a number that is not finite")
     return table
 
 

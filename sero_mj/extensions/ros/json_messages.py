@@ -34,7 +34,7 @@ _SHOWN, _SHOWN_BYTES = 40, 8  # characters or bytes of a message in an error
 def joint_state_of(raw: bytes) -> Any:
     """Decodes UTF-8 JSON to the attributes of `sensor_msgs/JointState`; raises MalformedMessage.
 
-    A value that is missing or null is NaN. A quantity that no joint has is empty.
+    A missing or null value becomes NaN. A quantity without any values becomes an empty array.
     """
     if len(raw) > MAX_BYTES:
         raise MalformedMessage(f"found {len(raw)} bytes; expected at most {MAX_BYTES}")
@@ -83,9 +83,10 @@ def message_of(
 
     Args:
         stamp: time stamp, s; 0 if it is unknown.
-        angles: shape (n,), rad or m. NaN becomes null; a quantity that no joint has is empty.
-        velocities: shape (n,), rad/s or m/s.
-        efforts: shape (n,), in the unit of the receiver.
+        angles: joint angles, shape (n,), rad or m. NaN becomes null, and a quantity that is NaN
+            for all joints becomes an empty list.
+        velocities: joint velocities, shape (n,), rad/s or m/s.
+        efforts: efforts, shape (n,), in the unit that the receiver expects.
     """
     seconds = math.floor(stamp)
     message: dict[str, Any] = {

@@ -17,14 +17,14 @@ from .dds import Ros2
 from .joined_packets import JOINT_STATES, JoinedPackets
 from .json_messages import joint_state_of, message_of
 from .messages import MalformedMessage
-from .ros_source import MAX_KEPT_BYTES, Listener, RosSource
+from .ros_source import MAX_REJECTED_BYTES, Listener, RosSource
 
 
 class JsonUdp(UdpReceiver, RosSource):
     """Receives joint states in the formats of `json_messages` over UDP.
 
-    Joints are matched by name, as in sources of ROS. Several devices can send to one port, each for
-    some of the joints.
+    Joints are matched by name, as in ROS sources. Several devices can send to one port, each for a
+    part of the joints.
     """
 
     name: str = "json"
@@ -50,7 +50,7 @@ class JsonUdp(UdpReceiver, RosSource):
 
     def open(self) -> None:
         if not self.joint_names:
-            problem = Problem("joints", "no route leads to a robot", expected="the joint names")
+            problem = Problem("joints", "no route to a robot", expected="the joint names")
             raise SourceError(self.name, problem)
         self._joined = self.joined()
         super().open()
@@ -86,7 +86,7 @@ class JsonUdp(UdpReceiver, RosSource):
                 packet = self._joined.take(JOINT_STATES, joint_state_of(raw), clock.time())
             except MalformedMessage as error:
                 self.layout.fault = str(error)
-                packet = self.layout.never(raw[:MAX_KEPT_BYTES])
+                packet = self.layout.never(raw[:MAX_REJECTED_BYTES])
             if packet is not None:
                 packets.append(packet)
                 kept.append(k)

@@ -1,8 +1,8 @@
-"""`LinkTransforms`: joint values and the base's pose, solved from the poses of links in `tf`.
+"""`LinkTransforms`: joint values and base pose, computed from the poses of links in `tf`.
 
-What robot_state_publisher publishes determines every joint: the transform between the links that
-a joint connects is T_p,i(q) = T_p,i(0) A R(q) A^-1, with z of A along the joint's axis and R a
-rotation about z, or a translation along it.
+The transforms that robot_state_publisher publishes determine every joint value. The transform
+between the two links of a joint is T_p,i(q) = T_p,i(0) A R(q) A^-1. The z axis of A is the joint
+axis, and R is a rotation about z or a translation along z.
 """
 
 from __future__ import annotations
@@ -12,23 +12,23 @@ from collections.abc import Callable, Hashable
 import numpy as np
 
 from ...base.frames import Array, Ints, inverse, rotation_about, rotation_angles
-from ...data.receive.routed_joints import RoutedLinks
+from ...data.receive.source import RoutedLinks
 
-_ANGLE, _DISTANCE = 0.02, 0.01  # rad and m by which transforms and robot may differ
+_ANGLE, _DISTANCE = 0.02, 0.01  # rad, m: allowed difference between transforms and robot
 _TURN = 2 * np.pi
 
 
 class LinkTransforms:
-    """The newest transforms between frames, of which some are links of a robot.
+    """Stores the newest transforms between frames, including the links of one robot.
 
-    Links that are fixed to each other are one node, so static transforms inside a robot may be
-    missing. Names may have a prefix that ends with a slash (`left/base_link`).
+    Links that are fixed to each other form one node, so the static transforms between them may be
+    missing. Frame names may have a prefix that ends with a slash (`left/base_link`).
     """
 
     def __init__(self, links: RoutedLinks, report: Callable[[str], None]) -> None:
         self._links, self._report = links, report
-        self._prefix = ""  # of the first such name
-        self._angles = links.home.copy()  # the last ones
+        self._prefix = ""  # prefix of the first link name that has one
+        self._angles = links.home.copy()  # last joint values
         self._above: dict[Hashable, tuple[Hashable, Array]] = {}
         tree = links.tree
         at_zero, axes = tree.link_transforms(np.zeros(len(tree))), tree.axis_frames
@@ -39,14 +39,14 @@ class LinkTransforms:
         self._is_reported = False
 
     def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
-        """Takes a transform (4, 4), m; returns the body that it moves, or None."""
+        """Stores a transform, shape (4, 4), m. Returns the body that it moves, or None."""
         above, T_above, _ = self._node(parent)
         below, _, T_back = self._node(child)
         if above == below:
             return None
         known = self._above.get(below)
         if known is not None and self._is_joint(known[0], below) > self._is_joint(above, below):
-            return None  # of two fixed links, that which the joint moves
+            return None  # the stored transform is the one across the body's own joint
         self._above[below] = above, T_above @ T_parent_child @ T_back
         return below if isinstance(below, int) else None
 
@@ -68,7 +68,10 @@ class LinkTransforms:
         return bool(self._parents[below - 1] == above)
 
     def solve(self) -> Array:
-        """Returns the values of the independent joints, (k,), the last ones where unknown."""
+        """Returns the values of the independent joints, shape (k,), rad or m.
+
+        A joint without transforms keeps its last value.
+        """
         poses: dict[Hashable, tuple[Hashable, Array]] = {}
         known: list[int] = []
         transforms: list[Array] = []
@@ -99,7 +102,7 @@ class LinkTransforms:
         rest = moved[:, :3, 3].copy()
         rest[~turns, 2] = 0.0
         self._check(joints, rest, moved[:, :3, :3] @ rotation_about(2, -angles))
-        # A transform does not tell whole turns.
+        # A transform determines an angle only up to full revolutions.
         angles += _TURN * np.round((self._angles[known] - angles) / _TURN)
         return np.where(turns, angles, moved[:, 2, 3])
 
@@ -113,18 +116,20 @@ class LinkTransforms:
             joint = int(joints[k])
             link = next(name for name, (i, _) in self._links.poses.items() if i == joint + 1)
             self._report(
-                f"the transform of {link} is {far[k]:.3g} m and {np.rad2deg(angles[k]):.3g} deg "
-                "off what its joint allows; is it another robot?"
+                f"the transform of {link} differs by {far[k]:.3g} m and "
+                f"{np.rad2deg(angles[k]):.3g} deg from any pose that the joint of the link can "
+                "reach. It may belong to a different robot"
             )
 
     def base(self, root: str) -> Array | None:
-        """Returns T_root_base (4, 4), m; None while it is unknown.
+        """Returns T_root_base, shape (4, 4), m, or None while it is unknown.
 
-        If transforms do not have the base itself, as of a robot whose base is the world and whose
-        first joints move a platform, another link content it, at the last joint values.
+        If no transform contains the base, its pose is computed from another link and the last joint
+        values. An example is a robot whose base is the world and whose first joints move a
+        platform.
 
         Args:
-            root: the frame in which it is wanted; the topmost one when empty.
+            root: reference frame; if it is empty, the root of the transform tree.
         """
         bodies = sorted(node for node in self._above if isinstance(node, int))
         body = next((each for each in bodies if not isinstance(self._above[each][0], int)), 0)
@@ -147,10 +152,11 @@ class LinkTransforms:
         return at, T
 
     def in_base(self, link: str, angles: Array | None) -> Array:
-        """Returns T_base_link (4, 4), m; identity for an unknown link.
+        """Returns T_base_link, shape (4, 4), m, or the identity for an unknown link.
 
         Args:
-            angles: of the independent joints, (k,), rad or m; the last ones when None.
+            angles: values of the independent joints, shape (k,), rad or m (default: the last
+                values).
         """
         node, T, _ = self._node(link)
         if not isinstance(node, int):

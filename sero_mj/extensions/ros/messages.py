@@ -1,4 +1,4 @@
-"""Messages of ROS, decoded by `rosbags`, which defines all common types."""
+"""ROS messages, decoded with `rosbags`, which defines all common types."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ TEXT = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
-MAX_BYTES = 1 << 20  # of a message that moves a robot; texts may be longer
+MAX_BYTES = 1 << 20  # of a message that moves a robot; robot descriptions may be longer
 
 
 class MalformedMessage(ValueError):
@@ -26,18 +26,18 @@ class MalformedMessage(ValueError):
 
 @cache
 def type_store() -> Any:
-    """Returns the definitions of ROS 2's message types; raises SourceError."""
+    """Returns the definitions of the ROS 2 message types; raises SourceError."""
     try:
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise SourceError(
-            "ros", f"messages of ROS require rosbags ({error}): pip install 'sero-mj[ros2]'"
+            "ros", f"ROS messages require rosbags ({error}): pip install 'sero-mj[ros2]'"
         ) from error
     return get_typestore(Stores.LATEST)
 
 
 def decode(raw: bytes, kind: str, max_bytes: int = MAX_BYTES) -> Any:
-    """Decodes a message in CDR, including its header of 4 bytes; raises MalformedMessage."""
+    """Decodes a CDR message that begins with a 4-byte header; raises MalformedMessage."""
     from rosbags.serde import SerdeError
 
     if len(raw) > max_bytes:

@@ -1,4 +1,4 @@
-"""Topics of a ROS 2 network, and the robot that it describes."""
+"""Lists the topics of a ROS 2 network, and finds the robot that it describes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ _DESCRIPTION = "/robot_description"
 _MAX_DESCRIPTION = 64 << 20  # bytes
 _LISTS = ("joints", "frames", "torque_constants")  # fields of a source with several values
 _SIGNS = ("1", "-1")
-_BETWEEN = 0.05  # s between looks at the publishers
+_CHECK_INTERVAL = 0.05  # s between checks of the publishers
 _MAX_LISTED = 20  # topics in a message
-# Of these no rate is measured, since it would take the network to do so.
+# The rates of these types are not measured, because receiving them would load the network.
 _LARGE = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGrid")
 
 
@@ -34,11 +34,12 @@ class Address:
     """Address of a robot, `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`; all parts are optional.
 
     Attributes:
-        host: see `Ros2.host`.
-        domain: see `Ros2.domain`.
-        namespace: namespace of its topics.
-        robot: model that shows the robot (default: the description in the network).
-        fields: fields of the source, such as `joint_states`; lists are separated by commas.
+        host: location of the publishers, see `Ros2`.
+        domain: ROS_DOMAIN_ID of the publishers, see `Ros2`.
+        namespace: namespace of the robot's topics.
+        robot: name of the model to show (default: the robot description in the network).
+        fields: fields of the source, such as `joint_states`. In the address, the values of a list
+            are separated by commas.
     """
 
     host: str = LOCALHOST
@@ -49,8 +50,8 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """Reads it; raises UsageError."""
-        expected = f"{SCHEME}HOST:DOMAIN/NAMESPACE, e.g. {SCHEME}subnet:42"
+        """Returns the address in a text; raises UsageError."""
+        expected = f"{SCHEME}HOST:DOMAIN/NAMESPACE, for example {SCHEME}subnet:42"
         try:
             parts = urlsplit(text)
             domain, host = parts.port, unquote(parts.hostname or LOCALHOST)
@@ -95,8 +96,9 @@ class Topic:
     """A published topic.
 
     Attributes:
+        kind: message type, for example `sensor_msgs/msg/JointState`.
         publishers: number of publishers.
-        rate: messages per second; None if it was not measured.
+        rate: messages per second, or None if it was not measured.
         joints: joint names in its messages of type `sensor_msgs/JointState`.
     """
 
@@ -108,16 +110,16 @@ class Topic:
 
     @property
     def robots(self) -> list[str]:
-        """Shipped robots whose joints it has."""
+        """Shipped robots whose joint names are in the messages."""
         return robots_with(self.joints)
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens for some seconds, and returns all topics by name; raises SourceError."""
+    """Listens to a network, and returns its topics, sorted by name; raises SourceError."""
     participant = Participant(host, domain, "ros2")
     try:
         times: dict[str, list[float]] = defaultdict(list)
-        joints: dict[str, dict[str, None]] = defaultdict(dict)  # names in the order of their coming
+        joints: dict[str, dict[str, None]] = defaultdict(dict)  # joint names in order of arrival
         readers: dict[str, Reader] = {}
         kinds: dict[str, str] = {}
         end = clock.monotonic() + seconds
@@ -126,7 +128,7 @@ def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
                 if each.topic not in readers and _is_light(each.kind):
                     readers[each.topic] = participant.reader(each.topic, each.kind)
                     kinds[each.topic] = each.kind
-            participant.wait(min(_BETWEEN, end - now))
+            participant.wait(min(_CHECK_INTERVAL, end - now))
             for name, reader in readers.items():
                 for raw, _ in reader.take():
                     times[name].append(clock.monotonic())
@@ -160,8 +162,9 @@ class Found:
     """A robot in a network.
 
     Attributes:
-        urdf: its description, if any.
-        joint_states: topic of its joint states, if any.
+        urdf: URDF of the robot, or empty if it is not published.
+        robots: shipped robots with the same joint names.
+        joint_states: topic of the joint states; the default topic if none is published.
     """
 
     urdf: str
@@ -170,13 +173,22 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Waits up to some seconds for a robot in a network; raises SourceError or UsageError."""
+    """Returns the robot in a network.
+
+    Args:
+        address: address of the robot.
+        seconds: maximum time to wait for the robot, s.
+
+    Raises:
+        SourceError: a package is missing, or the domain cannot be joined.
+        UsageError: there is no robot, or more than one.
+    """
     participant = Participant(address.host, address.domain, "ros2")
     try:
         search = _RobotSearch(participant, address)
         end = clock.monotonic() + seconds
         while (now := clock.monotonic()) < end and not search.is_enough:
-            search.look(min(_BETWEEN, end - now))
+            search.look(min(_CHECK_INTERVAL, end - now))
         return search.robot(seconds)
     finally:
         participant.close()
@@ -188,7 +200,7 @@ class _RobotSearch:
         self._before = f"/{address.namespace}" if address.namespace else ""
         self._readers: dict[str, tuple[str, Reader]] = {}
         self._described: dict[str, str] = {}  # topic to URDF
-        self._joints: dict[str, list[str]] = {}  # topic to names
+        self._joints: dict[str, list[str]] = {}  # topic to joint names
 
     @property
     def is_enough(self) -> bool:
@@ -197,8 +209,10 @@ class _RobotSearch:
     def look(self, seconds: float) -> None:
         for each in self._participant.published():
             if each.topic not in self._readers and self._is_relevant(each):
-                is_kept = each.kind == TEXT and each.is_kept
-                reader = self._participant.reader(each.topic, each.kind, is_kept=is_kept)
+                is_transient_local = each.kind == TEXT and each.is_transient_local
+                reader = self._participant.reader(
+                    each.topic, each.kind, is_transient_local=is_transient_local
+                )
                 self._readers[each.topic] = each.kind, reader
         self._participant.wait(seconds)
         for topic, (kind, reader) in self._readers.items():
@@ -224,7 +238,7 @@ class _RobotSearch:
             names = [topic.removesuffix(_DESCRIPTION) for topic in self._described]
             url = f"{SCHEME}{self._address.host}:{self._participant.domain}{names[0]}"
             found = f"has several robots: {', '.join(names)}"
-            raise UsageError(f"{self._place} {found}; name one, {url} say")
+            raise UsageError(f"{self._place} {found}. Choose one, for example with {url}")
         urdf = self._described.get(wanted, next(iter(self._described.values()), ""))
         states = [topic for topic, (kind, _) in self._readers.items() if kind == JOINT_STATE]
         usual = f"{self._before}/joint_states"
@@ -233,25 +247,25 @@ class _RobotSearch:
 
     @property
     def _place(self) -> str:
-        return f"ROS 2 domain {self._participant.domain} of {self._address.host}"
+        return f"ROS 2 domain {self._participant.domain} on {self._address.host}"
 
     def _why_none(self, seconds: float) -> str:
         topics = sorted({each.topic for each in self._participant.published()})
         if topics:
             listed = ", ".join(topics[:_MAX_LISTED])
             place = f" in {self._before}" if self._before else ""
-            return f"has no robot_description and no joint states{place}; its topics: {listed}"
-        why = f"has no publisher, within {seconds:g} s"
+            return f"has no robot_description and no joint states{place}; published: {listed}"
+        why = f"has no publisher (waited {seconds:g} s)"
         if self._address.host == LOCALHOST:
-            why += f"; {SCHEME}subnet looks on the network, {SCHEME}192.168.0.3 at one machine"
+            why += f". Use {SCHEME}subnet to search the network, or {SCHEME}ADDRESS for one machine"
         return why
 
 
 def robots_with(joints: Sequence[str]) -> list[str]:
     """Returns the shipped robots with these joint names, possibly with one common prefix.
 
-    Only robots with the maximum number of joints are returned: an arm is not returned if the same
-    arm with a hand fits, too.
+    Only the robots with the largest number of joints are returned. For example, an arm is not
+    returned if the same arm with a gripper matches as well.
     """
     found = {}
     for robot in paths.list_models():

@@ -1,9 +1,9 @@
-"""`kind = "ros2"`: a node of ROS 2 holds the simulated robot, by topics as ros2_control has them.
+"""`kind = "ros2"`: a ROS 2 node commands the simulated robot through the topics of ros2_control.
 
-The simulation publishes `sensor_msgs/JointState` and `/clock`, and takes commands in a
-`std_msgs/Float64MultiArray` as forward controllers do, or motions in a
-`trajectory_msgs/JointTrajectory` as joint_trajectory_controller does. It is a participant of DDS
-itself; no ROS is needed here.
+The simulation publishes `sensor_msgs/JointState` and `/clock`. It receives commands as
+`std_msgs/Float64MultiArray`, like the forward controllers, or trajectories as
+`trajectory_msgs/JointTrajectory`, like joint_trajectory_controller. The simulation is a DDS
+participant and does not need a ROS installation.
 """
 
 from __future__ import annotations
@@ -39,33 +39,37 @@ _TOPICS = {
     "trajectory": "joint_trajectory_controller/joint_trajectory",
 }
 _SHAPES = ("angles", "velocities", "torques")
-_REPEATED = 0.1  # s, until a first state is published again: its reader may just be found
-_SLICE = 0.02  # s
+_REPEATED = 0.1  # s between publications of the first state, which discovery may have missed
+_SLICE = 0.02  # s; timeout of one wait for messages
 _CLOCK = struct.Struct("<4siI")
 _HEAD = b"\0\1\0\0"  # plain CDR, little-endian
 
 
 class Ros2Node(Answering):
-    """A node of ROS 2 that publishes commands for each state of the joints.
+    """A ROS 2 node that publishes commands for each joint state.
 
     Attributes:
-        host: where it is: `localhost`, this machine alone; `subnet`; or a machine's address.
-        domain: ROS_DOMAIN_ID; None for that of the environment, else 0.
-        namespace: stands before topics that do not begin with `/`.
-        joint_states: topic that the state is published to.
-        commands: topic of `std_msgs/Float64MultiArray` with a number for each joint, or of
-            `trajectory_msgs/JointTrajectory`; by default that of ros2_control's controller for the
-            interface, `forward_effort_controller/commands` say.
-        joint_names: of the messages; those of the robot when empty.
-        interface: what commands are: `effort`, torques; `position`, angles for springs and dampers
-            of the robot; `trajectory`, a motion for these, which begins where the last one is, or
-            the robot. In lockstep only the first motion is waited for.
-        stiffness: Nm/rad per joint, of these springs.
-        damping: Nm s/rad per joint.
+        host: location of the node: `localhost` for this machine, `subnet` to find it by multicast
+            as ROS 2 does, or the address of a machine.
+        domain: ROS_DOMAIN_ID of the node (default: ROS_DOMAIN_ID of the environment, or 0).
+        namespace: prefix of topics that do not begin with `/`.
+        joint_states: topic to which the joint state is published.
+        commands: topic of `std_msgs/Float64MultiArray` with one number per joint, or of
+            `trajectory_msgs/JointTrajectory` (default: the topic of the ros2_control controller for
+            the interface, for example `forward_effort_controller/commands`).
+        joint_names: joint names in messages (default: the robot's joint names).
+        interface: meaning of commands: `effort` for torques, `position` for the target angles of a
+            joint impedance controller, or `trajectory` for target trajectories of this controller.
+            A trajectory begins at the current target of the previous one, or at the robot's
+            position. In lockstep, only the first trajectory is waited for.
+        stiffness: stiffness of the joint impedance controller, Nm/rad, one for all joints or one
+            for each.
+        damping: damping of the joint impedance controller, Nm s/rad, one for all joints or one for
+            each.
         publishes_clock: whether `/clock` is published, for nodes with use_sim_time.
     """
 
-    title: ClassVar[str] = "node of ROS 2"
+    title: ClassVar[str] = "ROS 2 node"
     order: ClassVar[int] = 85
 
     kind: Literal["ros2"] = "ros2"
@@ -83,13 +87,13 @@ class Ros2Node(Answering):
     @model_validator(mode="after")
     def _is_reachable(self) -> Self:
         if self.port:
-            raise Problem("port", "is not for ROS 2; leave it out").error()
+            raise Problem("port", "is not used by ROS 2. Leave it out").error()
         return self
 
     @property
     def peer(self) -> str:
         domain = "" if self.domain is None else f" {self.domain}"
-        return f"the nodes of ROS 2 domain{domain}"
+        return f"the nodes in ROS 2 domain{domain}"
 
     def make(self, model: RobotModel, timestep: float) -> ProgramController:
         n = model.n
@@ -120,10 +124,10 @@ class Ros2Node(Answering):
 
 
 class JointStatePacket:
-    """The state of a robot as a message of ROS.
+    """Encodes the state of a robot as `sensor_msgs/JointState`.
 
     Attributes:
-        time: s since the start.
+        time: simulation time of the state, s.
     """
 
     modulus = modulus_of(None)
@@ -146,9 +150,9 @@ class JointStatePacket:
 
 
 class RosLink(Link):
-    """Topics to a node and from it, which is started where that is declared."""
+    """Exchanges topics with a node. If a command is declared, `open` starts it."""
 
-    commands: ClassVar[str] = messages.NUMBERS  # type of messages that command
+    commands: ClassVar[str] = messages.NUMBERS  # type of the command messages
 
     def __init__(self, declared: Ros2Node, model: RobotModel) -> None:
         super().__init__(declared, model.name, 8 * model.n)
@@ -258,17 +262,18 @@ class RosLink(Link):
             self.receive(take)
 
     def __getstate__(self) -> Any:
-        raise TypeError("a participant of a domain is of this process")
+        raise TypeError("a DDS participant cannot be pickled")
 
 
 class TrajectoryLink(RosLink):
-    """Topics to a node that commands motions; each step is answered by the motion in use.
+    """Exchanges topics with a node that commands trajectories.
 
-    An answer has the motion's angles, and torques that damp the difference from its velocities
-    together with the robot's own dampers.
+    In each step, the current trajectory provides the target angles and feed-forward torques. The
+    torques contain damping times target velocity, so that the impedance controller damps the
+    velocity error instead of the velocity.
 
     Args:
-        damping: (n,), Nm s/rad, of the robot's dampers.
+        damping: damping of the joint impedance controller, shape (n,), Nm s/rad.
     """
 
     commands: ClassVar[str] = messages.TRAJECTORY
@@ -317,7 +322,7 @@ class TrajectoryLink(RosLink):
             self._motion = JointTrajectory(message, self._state.names, now, entry)
         except MalformedMessage as error:
             if self.why_wrong != str(error):
-                log.warning("%s at %.3f s: not taken: %s", self.name, now, error)
+                log.warning("%s at %.3f s: ignored a trajectory: %s", self.name, now, error)
             self.why_wrong = str(error)
             take(0)
 

@@ -1,4 +1,4 @@
-"""`RosSource`: base of sources whose packets are joined from messages of ROS."""
+"""`RosSource`: base class of sources whose packets are joined from ROS messages."""
 
 from __future__ import annotations
 
@@ -12,8 +12,7 @@ import numpy as np
 from pydantic import Field, PrivateAttr, field_validator, model_validator
 
 from ...base.errors import Problem, SourceError
-from ...data.receive.routed_joints import RoutedJoint, RoutedLinks
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, RoutedLinks, Source
 from ...data.receive.structure import TorqueSign
 from ...data.record.csv_files import JOINT_EVENTS
 from . import messages
@@ -31,7 +30,7 @@ from .joined_packets import (
 )
 from .messages import MalformedMessage
 
-# What a topic content, and the type of its messages.
+# Mapping from the content of a topic to its message type.
 TYPES = {
     JOINT_STATES: messages.JOINT_STATE,
     FORCES: messages.WRENCH,
@@ -40,37 +39,39 @@ TYPES = {
     ODOMETRY: messages.ODOMETRY,
     POSE: messages.POSE,
 }
-MAX_KEPT_BYTES = 2048  # bytes of a malformed message
-_MAX_NAMED = 5  # topics in a text
+MAX_REJECTED_BYTES = 2048  # of a malformed message in recordings
+NO_MESSAGES = "the publisher is not sending messages"
+_MAX_NAMED = 5  # topics in a message
 
 
 class RosSource(Source):
     """Packets joined from topics of ROS 2.
 
     Events are `stamp` and, for n joints, `joint_angles`, `joint_velocities` and `torques`. Values
-    that no message contains are NaN, except for angles, which stay as the robot declares them. If
-    the corresponding fields are set, there are also `commanded_torques`, `force` and `moment`,
-    `base_frame` with `base_velocity` and `base_angular_velocity` in the base frame, `pose`, and
-    `tf_NAME` of each frame.
+    that no message contains are NaN, except for angles, which keep the values that the robot
+    declares. If the corresponding fields are set, there are also `commanded_torques`, `force`,
+    `moment`, `pose`, `base_frame`, `base_velocity` and `base_angular_velocity` in the base frame,
+    and `tf_NAME` for each frame.
 
     Attributes:
-        joint_states: topic of `sensor_msgs/JointState`, or `tf` to solve angles from the transforms
-            of the robot's links; empty for none.
-        joints: joint names in messages: a list in the robot's order, or a table from the robot's
-            names to different ones (default: the robot's names, possibly with one common prefix).
+        joint_states: topic of `sensor_msgs/JointState`, or `tf` to compute angles from the
+            transforms of the robot's links; empty for none.
+        joints: joint names in messages: a list in the robot's joint order, or a table that maps the
+            robot's joint names to the names in messages (default: the robot's joint names, possibly
+            with a common prefix).
         commands: topic of `std_msgs/Float64MultiArray` with commanded torques; empty for none.
         wrench: topic of `geometry_msgs/WrenchStamped`; empty for none.
         odometry: topic of `nav_msgs/Odometry` with the pose of the robot's base, or `tf` to use
             transforms; empty for none.
         pose: topic of `geometry_msgs/PoseStamped`; empty for none.
-        frames: names of frames of `tf` and `tf_static` to receive.
-        root: reference frame of `frames` and of a base from `tf`; if it is empty, the base is
-            relative to the root of the transform tree.
+        frames: names of frames to receive from `tf` and `tf_static`.
+        root: reference frame of `frames` and of a base pose from `tf`; if it is empty, the base
+            pose is relative to the root of the transform tree.
         namespace: prefix of topics that do not begin with `/`.
-        effort_unit: unit of efforts: `Nm`, or `A` with `torque_constants`.
+        effort_unit: unit of efforts: `Nm`, or `A` together with `torque_constants`.
         torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
-        torque_sign: factor of efforts, 1 or -1 for drivers that publish the torque of the load on
-            the drive (default: 1).
+        torque_sign: factor of efforts: 1, or -1 for drivers that publish the torque that the load
+            exerts on the drive.
     """
 
     name: str = "ros"
@@ -91,7 +92,7 @@ class RosSource(Source):
 
     _fixed_by: ClassVar[str] = "ROS"
     _structure_is: ClassVar[str] = "derived from the topics"
-    # As long as the routes are unknown, whatever a driver does not publish may be missing.
+    # Until the routes are known, values that a driver does not publish may be missing.
     _nan_allowed: frozenset[str] = PrivateAttr(
         frozenset(
             (
@@ -133,14 +134,17 @@ class RosSource(Source):
     def _fields_fit_each_other(self) -> RosSource:
         has_constants = self.torque_constants is not None
         if has_constants != (self.effort_unit == "A"):
-            found = "without" if self.effort_unit == "A" else "with"
-            problem = Problem("torque_constants", f"effort_unit is {self.effort_unit} {found} them")
-            raise problem.error()
+            reason = (
+                "required, because effort_unit is A"
+                if self.effort_unit == "A"
+                else "not allowed, because effort_unit is Nm"
+            )
+            raise Problem("torque_constants", reason).error()
         if not (self.joint_states or self.wrench or self.frames or self.odometry or self.pose):
-            raise Problem("joint_states", "no topic is read", expected="the name of one").error()
+            raise Problem("joint_states", "no topic is read", expected="a topic name").error()
         if self.frames and not self.root:
-            expected = "the frame in which they are wanted, base_link say"
-            raise Problem("root", "frames are read without it", expected=expected).error()
+            expected = "the reference frame, for example base_link"
+            raise Problem("root", "is required by frames", expected=expected).error()
         self._nan_allowed |= {event_of_frame(name) for name in self.frames}
         return self
 
@@ -157,17 +161,17 @@ class RosSource(Source):
 
     @property
     def joint_names(self) -> list[str]:
-        """Names of the joints in messages, in the order of the events, n."""
+        """Joint names in messages, in the order of the values of an event."""
         if isinstance(self.joints, list) and self.joints:
             return self.joints
         names = self.joints if isinstance(self.joints, dict) else {}
         return [names.get(joint.name, joint.name) for joint in self._led]
 
     def joined(self, report: Callable[[str], None] | None = None) -> JoinedPackets:
-        """Returns what joins messages from now on.
+        """Returns an object that joins the messages of this source to packets.
 
         Args:
-            tell: gets what the user should know; logged once when None.
+            report: called with each warning for the user (default: `log_once`).
         """
         led = self._led
         if isinstance(self.joints, list) and self.joints:
@@ -206,7 +210,7 @@ class RosSource(Source):
 
     @property
     def topics(self) -> list[tuple[str, str]]:
-        """What is read: topics by their full names, and what each content."""
+        """Full names of the topics to read, and the content of each topic."""
         declared = {
             JOINT_STATES: self.joint_states,
             ODOMETRY: self.odometry,
@@ -234,7 +238,7 @@ class RosSource(Source):
         return f"/{before}/{topic}" if before else f"/{topic}"
 
     def is_default(self, field: str) -> bool:
-        """Whether a field is as it is where it is not declared."""
+        """Whether a field has its default value."""
         return bool(getattr(self, field) == type(self).model_fields[field].default)
 
     def with_fields(self, **fields: Any) -> RosSource:
@@ -253,10 +257,10 @@ class RosSource(Source):
         return "" if self.receiving else self._trouble
 
     def open(self) -> None:
-        """Starts to receive; publishers need not be there; raises SourceError."""
+        """Starts to receive. The publishers may start later. Raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
-            problem = Problem("joints", "no route leads to a robot", expected="the joint names")
+            problem = Problem("joints", "no route to a robot", expected="the joint names")
             raise SourceError(self.name, problem)
         self.reset()
         messages.type_store()
@@ -270,10 +274,9 @@ class RosSource(Source):
 
 
 class Listener:
-    """Decodes messages, and hands a source the packets that they make; on one thread.
+    """Decodes messages of a source, and passes the joined packets to `source.accept`.
 
-    Args:
-        source: its `accept` gets the packets.
+    Only one thread may use it.
     """
 
     def __init__(self, source: RosSource) -> None:
@@ -281,10 +284,11 @@ class Listener:
         self._joined = source.joined()
 
     def take(self, received: Sequence[tuple[str, bytes, bytes]]) -> None:
-        """Takes messages that have come together.
+        """Decodes and joins messages that have arrived together.
 
         Args:
-            received: what each content, its bytes in CDR, and its publisher's number, if known.
+            received: for each message, the content of its topic, its bytes in CDR, and the id of
+                its publisher, which may be empty.
         """
         source, now = self._source, clock.time()
         packets: list[bytes] = []
@@ -294,7 +298,7 @@ class Listener:
                 packet = self._joined.take(content, messages.decode(raw, TYPES[content]), now)
             except MalformedMessage as error:
                 source.layout.fault = str(error)
-                packet = source.layout.never(raw[:MAX_KEPT_BYTES])
+                packet = source.layout.never(raw[:MAX_REJECTED_BYTES])
             if packet is not None:
                 packets.append(packet)
                 senders.append(sender)
@@ -304,27 +308,29 @@ class Listener:
 
 
 def topic_problem(topic: str, kind: str, published: Iterable[tuple[str, str]]) -> str:
-    """What is wrong with a topic, in words; empty when nothing is.
+    """Returns a message if a topic has no publisher or another type, otherwise an empty string.
 
     Args:
-        topic: with a `/` before it.
+        topic: full name of the topic, with a leading `/`.
+        kind: expected message type.
+        published: name and message type of each published topic.
     """
     published = list(published)
     kinds = [other for each, other in published if each == topic]
     if not kinds:
-        if topic in ("/tf", "/tf_static"):  # of which one may be missing
+        if topic in ("/tf", "/tf_static"):  # either may be missing
             return ""
         fitting = sorted({each for each, other in published if other == kind})
-        instead = f"; of its type are {', '.join(fitting[:_MAX_NAMED])}" if fitting else ""
-        return f"nobody publishes {topic}{instead}"
+        instead = f"; topics of its type: {', '.join(fitting[:_MAX_NAMED])}" if fitting else ""
+        return f"no publisher of {topic}{instead}"
     return "" if kind in kinds else f"{topic} is of type {kinds[0]}; expected {kind}"
 
 
 def is_tf(topic: str) -> bool:
-    """Whether a topic is that of transforms."""
+    """Whether a topic is `tf`."""
     return topic.lstrip("/") == TF
 
 
 def ros_type(name: str) -> str:
-    """A type's name in ROS, from that in DDS."""
+    """Returns the ROS name of a type from the DDS name."""
     return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")

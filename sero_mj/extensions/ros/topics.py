@@ -1,4 +1,4 @@
-"""ROS 2 networks for core commands: their robots and topics."""
+"""Robots and topics of ROS 2 networks, for commands of the core."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ def print_topics(text: str, duration: float, *, as_json: bool) -> int:
         print_json([{**asdict(topic), "robots": topic.robots} for topic in topics])
         return 0 if topics else 1
     if not topics:
-        where = f"domain {domain_number(address.domain)} of {address.host}"
+        where = f"ROS 2 domain {domain_number(address.domain)} on {address.host}"
         hint = f"; use {SCHEME}subnet to search the network" if address.host == LOCALHOST else ""
-        print(f"no publisher found in {where} within {duration:g} s{hint}")
+        print(f"no publisher in {where} (waited {duration:g} s){hint}")
         return 1
     from rich.table import Table
 

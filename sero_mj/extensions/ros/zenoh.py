@@ -1,9 +1,9 @@
-"""`Zenoh`: topics of ROS 2 from a router of zenoh, as rmw_zenoh publishes them.
+"""`Zenoh`: ROS 2 topics from a zenoh router, as published by rmw_zenoh.
 
-rmw_zenoh has topic `/x` under the key `DOMAIN/x/TYPE/HASH`, where TYPE is the one of DDS and HASH
-that of its definition, and each publisher's token of liveliness under
-`@ros2_lv/DOMAIN/SESSION/NODE/NUMBER/MP/ENCLAVE/NAMESPACE/NAME/TOPIC/TYPE/HASH/QOS`, `%` being `/`.
-Messages are in CDR; what is attached to them ends in the number of the publisher (gid).
+rmw_zenoh publishes topic `/x` under the key `DOMAIN/x/TYPE/HASH`, where TYPE is the DDS name of the
+type and HASH is the hash of its definition. The liveliness token of each publisher has the key
+`@ros2_lv/DOMAIN/SESSION/NODE/NUMBER/MP/ENCLAVE/NAMESPACE/NAME/TOPIC/TYPE/HASH/QOS`, in which `%`
+stands for `/`. Messages are in CDR. The attachment of a message ends with the publisher's id (gid).
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ from ...data.receive import receiving_thread
 from ...data.receive.connecting import Address, addresses
 from ...data.receive.receiving_thread import Closing, Disconnected
 from .dds import MAX_DOMAIN, domain_number
-from .ros_source import TYPES, Listener, RosSource, ros_type, topic_problem
+from .ros_source import NO_MESSAGES, TYPES, Listener, RosSource, ros_type, topic_problem
 
 PORT = 7447
-KEPT = "/tf_static"  # its publishers keep the last messages, for who comes later
-_PATIENCE = 0.8  # s for a router's answer, and so for the end of an attempt to connect
-_CHECK_INTERVAL = 1.0  # s between looks at the publishers, as long as nothing comes
+TRANSIENT_LOCAL = "/tf_static"  # topic whose publishers send the last messages to late readers
+_PATIENCE = 0.8  # s; timeout of an answer of the router, and of an attempt to connect
+_CHECK_INTERVAL = 1.0  # s between checks of the publishers while no messages arrive
 _MAX_WAITING = 10_000  # messages
-_GID = b"source_gid"  # comes before a publisher's number, of 16 random bytes
+_GID = b"source_gid"  # precedes a publisher's id of 16 random bytes
 _TOKEN = "@ros2_lv/{}/**"
 _TOKEN_PARTS = 13
 
 
 class Zenoh(RosSource):
-    """Reads topics of ROS 2 from a zenoh router and publishes nothing.
+    """Reads ROS 2 topics from a zenoh router and publishes nothing.
 
-    It connects as a client, without discovery, and reconnects when the connection is lost.
+    The source connects as a client, without discovery. It reconnects when the connection is lost.
 
     Attributes:
-        host: address of the router, or of a peer that listens.
+        host: address of the router, or of a peer that accepts connections.
         port: port of the router.
-        domain: ROS_DOMAIN_ID of the publishers (default: that of the environment, or 0).
+        domain: ROS_DOMAIN_ID of the publishers (default: ROS_DOMAIN_ID of the environment, or 0).
     """
 
     name: str = "zenoh"
@@ -75,7 +75,7 @@ class _Message(NamedTuple):
 
 
 class Session:
-    """Reads a source's topics; raises SourceError."""
+    """Reads the topics of a source. Raises SourceError if zenoh is not installed."""
 
     def __init__(self, source: Zenoh, listener: Listener) -> None:
         _zenoh(source.name)
@@ -84,28 +84,28 @@ class Session:
         self._waiting: SimpleQueue[_Message | None] = SimpleQueue()
 
     def interrupt(self) -> None:
-        """Wakes what waits for messages; after `closing` of the source is set."""
+        """Makes `receive` return. The source must have set `closing` before."""
         self._waiting.put(None)
 
     def receive(self, wake: socket.socket) -> None:
-        """Connects, which zenoh repeats once it has succeeded, and receives.
+        """Connects and receives until the source is closed.
 
-        See `Source.start_receiving`.
+        After the first connection, zenoh reconnects automatically.
         """
         source = self._source
         zenoh = _zenoh(source.name)
         try:
             session = self._open(addresses(source.host, source.port, wake))
-        # zenoh has one error for everything that may be wrong with a router.
+        # zenoh raises the same error for every problem with a router.
         except (zenoh.ZError, OSError) as error:
-            trouble = f"no router of zenoh at {source.place_of_router}"
+            trouble = f"no zenoh router at {source.place_of_router}"
             raise Disconnected(trouble, _without_location(error)) from error
         try:
             subscribers = [self._read(session, *each) for each in source.topics]
             self._receive(session)
-            del subscribers  # which would otherwise end before
-        except zenoh.ZError as error:  # such as of a topic that no key can have
-            raise Disconnected(f"zenoh refuses: {_without_location(error)}") from error
+            del subscribers  # zenoh ends a subscription when its object is deleted
+        except zenoh.ZError as error:  # for example, the topic is not a valid key
+            raise Disconnected(f"zenoh error: {_without_location(error)}") from error
         finally:
             with suppress(zenoh.ZError):
                 session.close()
@@ -154,7 +154,7 @@ class Session:
         package, _, name = TYPES[content].rpartition("/")
         kind = f"{package.replace('/', '::')}::dds_::{name}_"
         key = f"{self._domain}{topic}/{kind}/**"
-        if topic != KEPT:
+        if topic != TRANSIENT_LOCAL:
             return session.declare_subscriber(key, take)
         from zenoh import ext
 
@@ -183,18 +183,18 @@ class Session:
             source.note_trouble("")
             return
         if not (session.info.routers_zid() or session.info.peers_zid()):
-            trouble = f"the router of zenoh at {source.place_of_router} is gone"
+            trouble = f"lost the connection to the zenoh router at {source.place_of_router}"
             source.note_trouble(trouble)
-            source.log_once(f"{trouble}; trying again")
+            source.log_once(f"{trouble}; reconnecting")
             return
         published = self._published(session)
         wrong = [
             topic_problem(topic, TYPES[content], published) for topic, content in source.topics
         ]
         if not published:
-            source.note_trouble(f"nobody publishes in domain {self._domain}")
+            source.note_trouble(f"no publisher in domain {self._domain}")
         else:
-            source.note_trouble("; ".join(filter(None, wrong)) or "its publisher is silent")
+            source.note_trouble("; ".join(filter(None, wrong)) or NO_MESSAGES)
 
     def _published(self, session: Any) -> list[tuple[str, str]]:
         found = []
@@ -209,7 +209,7 @@ def _zenoh(owner: str) -> Any:
     try:
         import zenoh
     except ImportError as error:
-        reason = f"rmw_zenoh's topics need zenoh ({error}): pip install 'sero-mj[zenoh]'"
+        reason = f"topics of rmw_zenoh require zenoh ({error}): pip install 'sero-mj[zenoh]'"
         raise SourceError(owner, reason) from error
     return zenoh
 

@@ -46,7 +46,7 @@ def runs_alone(scenario: Scenario) -> bool:
     In a batch, their programs would all run at the same time.
     """
     controllers = (as_controller(scenario.controller_of(name)) for name in scenario.scene.robots)
-    return not all(each.may_be_asked for each in controllers)
+    return not all(each.may_be_probed for each in controllers)
 
 
 class VariantRunner:

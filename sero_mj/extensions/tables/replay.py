@@ -13,8 +13,7 @@ from pydantic import Field, PrivateAttr, ValidationInfo, field_validator, model_
 
 from ...base.errors import CsvError, Problem, UnknownName, did_you_mean, mismatch
 from ...base.frames import Array
-from ...data.receive.routed_joints import RoutedJoint
-from ...data.receive.source import Source
+from ...data.receive.source import RoutedJoint, Source
 from ...data.receive.structure import Structure
 from ...data.receive.udp import UdpReceiver
 from ...data.record.csv_files import TIME, column_names
@@ -162,11 +161,11 @@ class TableReplay(FileSource):
 
     @field_validator("structure")
     @classmethod
-    def _structure_parses(cls, text: str, info: ValidationInfo) -> str:
-        return super()._structure_parses(text, info) if text else text
+    def _check_structure(cls, text: str, info: ValidationInfo) -> str:
+        return super()._check_structure(text, info) if text else text
 
     @model_validator(mode="after")
-    def _is_a_table(self) -> Self:
+    def _check_table(self) -> Self:
         try:
             table = self._table
         except CsvError as error:

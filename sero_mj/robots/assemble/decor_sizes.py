@@ -1,4 +1,4 @@
-"""Measures robots in a compiled model: sizes of their arrows and axes, loads of their joints."""
+"""Computes sizes of arrows and axes, and loads of joints, from a compiled model."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from ...base.frames import Array, Ints
 from .robot_dynamics import GRAVITY
 from .solids import Solids, geom_boxes, geoms_of
 
-# Smallest radius of an arrow: of the link's length, or of half the length of the shorter of the
-# bodies that the joint connects, but of the robot's extent at most.
+# Minimum radius of an arrow: shares of the link length, and of half the length of the shorter body
+# at the joint, of which the latter is limited to a share of the extent of the robot.
 _SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
-_OF_SKIN = 0.12  # of the robot's extent: a skin may be much thicker than the bodies inside it
+_OF_SKIN = 0.12  # share of the robot's extent; a skin may be much thicker than the bodies in it
 _STEP = 1.12  # ratio of the radii that are tried
 _HEIGHT = 0.3  # of an arrow, over its radius
 _MAX_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
@@ -34,9 +34,9 @@ class MeasuredBodies(NamedTuple):
     """The part of a model that is a robot.
 
     Attributes:
-        joints: ids of its hinges and slides, (n,).
-        trunk: ids of the world's geoms that are part of it.
-        centres: ids of the sites at the centres of its arrows, (n,); None for the joints' anchors.
+        joints: ids of its hinge and slide joints, (n,).
+        trunk: ids of geoms of the world body that are part of it.
+        centres: ids of the sites at the centers of its arrows, (n,); None for the joint anchors.
     """
 
     bodies: Ints
@@ -50,12 +50,11 @@ class Sizes:
     """Sizes of a robot's decor.
 
     Attributes:
-        link: typical distance of neighbouring joints, m.
-        arrow_radius: (n,), m; as small as the arrow can be without being hidden in links.
-        full_width: (n,) of arrows, over their radius: 1, or less for joints close to each other.
+        link: typical distance between adjacent joints, m.
+        arrow_radius: minimum radius at which links do not hide the arrow, (n,), m.
+        full_width: of arrows over their radius, (n,): 1, or less for joints close to each other.
         axes: length of the coordinate axes of the body that each joint moves, (n,), m.
-        load: approximate maximum gravity load of each joint, (n,), Nm or N: the weight it
-            carries times its distance.
+        load: approximate maximum gravity load, weight times distance, (n,), Nm or N.
     """
 
     link: float
@@ -66,11 +65,7 @@ class Sizes:
 
 
 def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -> Sizes:
-    """Computes the sizes of a robot's decor.
-
-    Args:
-        data: in the pose to measure, after `mj_fwdPosition`.
-    """
+    """Computes the sizes of the decor of a robot for data after `mj_fwdPosition`."""
     anchors = data.xanchor[robot.joints]
     low, high = boxes = geom_boxes(model, data)
     mine = geoms_of(model, robot.bodies, robot.trunk)
@@ -97,11 +92,8 @@ def _radii(
     links: Array,
     extent: float,
 ) -> Array:
-    """Returns the radius of every arrow, (n,), m.
-
-    The smallest visible radius, rarely larger than the bodies that the joint connects, and if
-    possible similar to those of neighbouring joints.
-    """
+    # The smallest visible radius, rarely larger than the bodies that the joint connects, and if
+    # possible similar to those of adjacent joints.
     axes = data.xaxis[robot.joints]
     anchors = data.xanchor[robot.joints] if robot.centres is None else data.site_xpos[robot.centres]
     solids = Solids(model, data)
@@ -111,14 +103,14 @@ def _radii(
     for i, body in enumerate(model.jnt_bodyid[robot.joints]):
         beside = model.body_weldid[[body, model.body_parentid[body]]]
         lengths = [half[weld] for weld in beside.tolist() if weld in half] or [0.0]
-        least = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
-        most = max(*lengths, of_skin, least)
-        count = int(np.ceil(np.log(most / least) / np.log(_STEP))) + 1
-        radii = np.geomspace(least, most, count)
-        height = _HEIGHT * np.sqrt(least * most)
+        low = max(_SMALLEST * links[i], min(_OF_HALF * min(lengths), _OF_ROBOT * extent))
+        high = max(*lengths, of_skin, low)
+        count = int(np.ceil(np.log(high / low) / np.log(_STEP))) + 1
+        radii = np.geomspace(low, high, count)
+        height = _HEIGHT * np.sqrt(low * high)
         shares = solids.hidden_shares(anchors[i], axes[i], radii, height)
         large = _LARGEST * max(links[i], _median(links))
-        cost = np.maximum(shares - _MAX_HIDDEN, 0.0) + _PER_SIZE * np.log(radii / least)
+        cost = np.maximum(shares - _MAX_HIDDEN, 0.0) + _PER_SIZE * np.log(radii / low)
         cost += _PER_LARGE * np.maximum(np.log(radii / large), 0.0)
         best = min(int(cost.argmin()) + 1, count - 1)  # one step clear of the surface
         tried.append(radii[best:])
@@ -136,7 +128,6 @@ def _radii(
 def _half_lengths(
     model: mujoco.MjModel, boxes: tuple[Array, Array], robot: MeasuredBodies
 ) -> dict[int, float]:
-    """Returns half the length of bodies welded together, m, by the first of them."""
     low, high = boxes
     bodies = model.jnt_bodyid[robot.joints]
     lengths = {}
@@ -152,10 +143,7 @@ def _half_lengths(
 def _link_lengths(
     model: mujoco.MjModel, robot: MeasuredBodies, anchors: Array, extent: float
 ) -> Array:
-    """Returns every joint's distance to the farther of its neighbours in the tree, (n,), m.
-
-    Joints that coincide, as in a wrist or a hip, count as one.
-    """
+    # Distances to the farther adjacent joint. Coincident joints, as in a wrist, count as one.
     row = {int(body): i for i, body in enumerate(model.jnt_bodyid[robot.joints])}
     before = np.full(len(anchors), -1)  # the parent joint of each
     for i, body in enumerate(model.jnt_bodyid[robot.joints]):

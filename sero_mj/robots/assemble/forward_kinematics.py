@@ -1,4 +1,4 @@
-"""`ForwardKinematics`: where a robot's flange is, in the least time."""
+"""`ForwardKinematics`: fast forward kinematics of single poses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _EYE = np.eye(4)
 
 
 class ForwardKinematics:
-    """Forward kinematics of a robot as it is now, for loops over single poses, or for many at once.
+    """Forward kinematics of a robot, without later changes of its declaration.
 
-    MuJoCo computes one pose in a sixth of the time of `SerialRobot.fwd_kin_base_to_flange`, which
-    computes many. It keeps the state of a pose, so several threads need one each.
+    MuJoCo computes single poses in a sixth of the time of `SerialRobot.fwd_kin_base_to_flange`,
+    which computes arrays of poses. Each thread needs its own object.
     """
 
     def __init__(self, robot: SerialRobot) -> None:

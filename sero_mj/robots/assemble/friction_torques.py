@@ -1,4 +1,4 @@
-"""The torques that friction takes of joints, by the `[dynamics]` that robots declare."""
+"""Friction torques of joints, computed from the declared `[dynamics]` of robots."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
-VELOCITIES = "joint_velocities"  # the input of a robot, if it declares it, that has received ones
-SLOW = 0.01  # rad/s or m/s, below which Coulomb friction may hold the joint
+VELOCITIES = "joint_velocities"  # optional input of a robot, for received velocities
+SLOW = 0.01  # rad/s or m/s; below it, Coulomb friction may hold the joint
 
 
 def lack_of_friction(robot: SerialRobot) -> str:
@@ -29,9 +29,9 @@ def lack_of_friction(robot: SerialRobot) -> str:
 def friction_of(robot: SerialRobot, velocities: Array) -> Array:
     """Returns the torques (..., n), Nm or N, that overcome the declared friction.
 
-    Viscous friction in proportion to the velocity, plus Coulomb friction in its direction. At rest
-    the latter can be anything between its two values; below `SLOW` it goes over from one to the
-    other, through zero, so that noise of the velocity does not make it jump.
+    This is viscous friction, proportional to the velocity, plus Coulomb friction in its direction.
+    Below `SLOW`, Coulomb friction is proportional to the velocity, too, so that noise does not
+    cause jumps; at rest its true value can be anything between its two limits.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)
@@ -45,8 +45,8 @@ def friction_of(robot: SerialRobot, velocities: Array) -> Array:
 def joint_velocities(world: WorldView, data: Any) -> Array:
     """Returns the velocities of the joints of a world, (N,), rad/s or m/s.
 
-    Those received by an input `joint_velocities`, where a robot has it, else those of the state,
-    which a mirror derives from angles; NaN for doubles.
+    They are the received values of an input `joint_velocities` if a robot has it, else those of
+    the state, which a mirror derives from angles. Values of doubles are NaN.
     """
     state, joints = world.state(data), world.joints
     found = np.full(len(joints.names), np.nan)
@@ -60,13 +60,13 @@ def joint_velocities(world: WorldView, data: Any) -> Array:
     return found
 
 
-_WITHOUT: WeakSet[WorldView] = WeakSet()  # of which it is logged which robots have none
+_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds for which missing friction was logged
 
 
 def friction_torques(world: WorldView, data: Any) -> Array:
     """Returns the torques that overcome the friction of joints, (N,), Nm or N.
 
-    Those of doubles are NaN, and those of robots that declare no friction, which is logged once.
+    Values of doubles and of robots without declared friction are NaN; the latter are logged once.
     """
     velocities = joint_velocities(world, data)
     found = np.full(len(velocities), np.nan)

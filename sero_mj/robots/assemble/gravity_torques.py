@@ -13,34 +13,26 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem, SeroError
 from ...base.frames import Array
 from ..declared.robot import SerialRobot
-from ..declared.scene import Scene
 from .robot_dynamics import EARTH
-from .world import World, dynamics_of
+from .world import world_without_meshes
 from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
 
 class GravityTorques:
-    """Computes the gravity torques of robots, including everything that they carry.
+    """Computes the gravity torques of robots, including those that they carry.
 
     Bases are at their declared frames. Raises DeclarationError if MuJoCo cannot compile the robots,
-    or one of them floats.
+    or one has a free base.
     """
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         floating = [name for name, robot in robots.items() if robot.free_base is True]
         if floating:
-            why = "has a free base: it holds nothing"
+            why = "has a free base, and cannot hold itself against gravity"
             raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])
-        scene = Scene(robots=list(robots.values()), floor=False)
-        known = dynamics_of(scene)
-        # Without meshes: they take longest to compile, and the masses are known.
-        bare = [
-            robot.model_copy(update={"filenames": [], "collisions": []})
-            for robot in scene.robots.values()
-        ]
-        self._world = World(Scene(robots=bare, floor=False), dynamic=True, dynamics=known)
+        self._world = world_without_meshes(robots.values())
         self._world.model.opt.gravity[:] = EARTH
         self._data = self._world.make_data()
         self._torques: Array = np.zeros(self._world.model.nv)
@@ -57,8 +49,8 @@ class GravityTorques:
     def over_time(self, angles: Mapping[str, Array]) -> dict[str, Array]:
         """Returns the torques of every robot at several times, (T, n), Nm or N.
 
-        Angles are (T, n), or (n,) if they are the same at all times. Where they are NaN, unknown,
-        the torques of all robots are.
+        Angles are (T, n), or (n,) if constant. At times with an angle that is NaN, the torques of
+        all robots are NaN.
         """
         count = max((len(each) for each in angles.values() if each.ndim > 1), default=1)
         rows = {name: np.broadcast_to(q, (count, q.shape[-1])) for name, q in angles.items()}
@@ -72,15 +64,11 @@ class GravityTorques:
 
 
 _KNOWN: WeakKeyDictionary[WorldView, GravityTorques] = WeakKeyDictionary()
-_WITHOUT: WeakSet[WorldView] = WeakSet()  # of which it is logged why they have no such model
+_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds without such a model, which is logged once
 
 
 def gravity_model(world: WorldView) -> GravityTorques:
-    """Returns the model of the robots of a world, which is compiled once.
-
-    Raises:
-        DeclarationError: as `GravityTorques`.
-    """
+    """Returns the `GravityTorques` of a world, compiled once; raises DeclarationError as that."""
     if world not in _KNOWN:
         _KNOWN[world] = GravityTorques({name: part.robot for name, part in world.robots.items()})
     return _KNOWN[world]
@@ -89,8 +77,8 @@ def gravity_model(world: WorldView) -> GravityTorques:
 def gravity_torques(world: WorldView, data: Any) -> Array:
     """Returns the torques that hold the joints of a world against gravity, (N,), Nm or N.
 
-    Those of doubles are NaN, and all are where the robots have no model of it, which is logged
-    once. The first call for a world compiles that model.
+    Values of doubles are NaN. If the robots have no gravity model, a warning is logged once and all
+    values are NaN. The first call for a world compiles the model.
     """
     found = np.full(len(world.joints.names), np.nan)
     if world in _WITHOUT:

@@ -1,4 +1,4 @@
-"""The geoms of a robot's links: declared mesh files and primitive shapes, or generated ones."""
+"""Geoms of links: declared mesh files and primitive shapes, or generated shapes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from .mjcf_elements import (
 from .mjcf_links import drawn_links, touching_links
 
 Geom = dict[str, Any]
-_MOST_TRIMMED = 16  # joints
+_MAX_TRIMMED = 16  # joints
 
 
 def generated(robot: SerialRobot) -> list[list[LinkShape]]:
-    """Returns the generated shapes of a robot's base and links."""
+    """Returns the generated shapes of base and links."""
     return generate_shapes(robot.kinematics, robot.T_n_flange, robot.strokes, robot.flange_link)
 
 
@@ -57,11 +57,8 @@ def drawn_geoms(
 
 
 def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
-    """Returns the attributes of what is drawn on generated links only, without mass.
-
-    Robots of many joints have none, as they would take more time to draw than they are worth.
-    """
-    if robot.mjcf is not None or robot.filenames or robot.n > _MOST_TRIMMED:
+    """Returns the attributes of massless trim on generated links, for robots of few joints."""
+    if robot.mjcf is not None or robot.filenames or robot.n > _MAX_TRIMMED:
         return [[] for _ in range(robot.n + 1)]
     found = trims(generated(robot), robot.T_n_flange, robot.flange_link)
     return [[{"rgba": s.rgba, "mass": 0, **shape_geom(s)} for s in link] for link in found]
@@ -70,7 +67,7 @@ def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
     """Returns the geoms of the declared `collisions`, or of MJCF.
 
-    Raises DeclarationError if a file cannot be read.
+    Raises DeclarationError if a mesh file cannot be read.
     """
     if robot.mjcf is not None:
         return touching_links(root, robot)
@@ -118,7 +115,7 @@ def _declared(
 def part_geoms(
     root: mujoco.MjSpec, part: LinkGeometry, name: str, folder: Path, rgba: Any, hull: Hull
 ) -> list[Geom]:
-    """Returns the attributes of the geoms of a mesh file, one for each colour, or of a shape.
+    """Returns the attributes of the geoms of a mesh file, one for each color, or of a shape.
 
     Raises DeclarationError if the file cannot be read.
     """
@@ -141,7 +138,7 @@ def _faded(rgba: Any, part: LinkGeometry) -> Any:
 
 
 def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
-    """Returns m per unit of a mesh along x, y and z, (3,); negative where it is mirrored."""
+    """Returns the scale of a mesh, (3,), m per unit; negative along mirrored axes."""
     scale = np.full(3, robot.mesh_scale) if part.scale is None else part.scale
     return scale * (MIRROR.diagonal()[:3] if robot.mirrored else 1.0)
 

@@ -1,9 +1,9 @@
 """Builds a scene's robots and surroundings as MJCF, with `mujoco.MjSpec`.
 
-A robot becomes one body at its base frame with a chain of bodies, one per row of its DH table,
-whose frames are the DH frames: body i is at T_{i-1,i}(q_i = 0) and moves about, or along, z of
-its own frame (craig) or of its parent's (standard). The base is a mocap body, or a child of a body
-of the robot that carries it.
+A robot is one body at its base frame with a chain of bodies, one per row of its DH table, whose
+frames are the DH frames: body i is at T_{i-1,i}(q_i = 0), and z of its own frame (craig) or of its
+parent's (standard) is the joint axis. The base is a mocap body, or a child of a body of the robot
+that carries it.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ SKY = "sky"  # name of the texture
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge of a tile of the floor, m
-_SCENE_SIZE = 1.25  # of a robot for which these are chosen, m
+_SCENE_SIZE = 1.25  # size of the robot for which these values are chosen, m
 _SLICES, _STACKS = 24, 10  # of round geoms, about their axis and along it
-_ROUND, _FINEST = 0.14, 2.5  # m, up to which radius that is enough; and at most so much finer
+_ROUND, _FINEST = 0.14, 2.5  # radius, m, up to which these suffice, and maximum refinement
 _BALLS = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _TUBES = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE)
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
@@ -66,10 +66,10 @@ _SHRINK = 0.985
 
 
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
-    """Returns the scene as one `MjSpec`, names scoped by robot (`lwr/link1`).
+    """Returns the scene as one `MjSpec`, with names scoped by robot (`lwr/link1`).
 
-    With the robots' dynamics it is the simulated variant, else for display. Raises DeclarationError
-    if an MJCF piece cannot be read, or a file is missing.
+    The result is for simulation if dynamics are given, else for display. Raises DeclarationError if
+    a file is missing or cannot be read.
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
@@ -89,7 +89,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     unbuilt: set[str | None] = set()
     for name in mount_order(scene.robots):
         robot, count = scene.robots[name], len(problems)
-        if carrier(robot) not in unbuilt:  # its carrier is invalid, which is reported
+        if carrier(robot) not in unbuilt:  # otherwise, errors of the carrier are reported
             with collect(problems, f"robots.{name}"):
                 _add_robot(root, robot, None if dynamics is None else dynamics[name])
         if len(problems) > count or carrier(robot) in unbuilt:
@@ -107,10 +107,8 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
 
 
 def _refine_round_geoms(root: mujoco.MjSpec) -> None:
-    """Lets MuJoCo draw round geoms of more triangles where one is so large that edges are seen.
-
-    The number is one for a whole model, and robots of many cylinders would be drawn half as fast.
-    """
+    # More triangles for models with a round geom so large that its edges are visible. MuJoCo has
+    # one number for the whole model, and robots of many cylinders would take twice the time.
     largest = max((max(geom.size) for geom in root.geoms if geom.type in _BALLS), default=0.0)
     tubes = (float(geom.size[0]) for geom in root.geoms if geom.type in _TUBES)
     finer = np.clip(np.sqrt(max(largest, *tubes, 0.0) / _ROUND), 1.0, _FINEST)
@@ -206,7 +204,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     root.compiler.degree = False
     problems: list[Problem] = []
     inertia = declared_inertia(robot)
-    # Without declared masses its arrows are scaled by those of its meshes.
+    # Without declared masses, arrows are scaled by the masses of meshes.
     geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
     geoms = [own + more for own, more in zip(geoms, trim_geoms(robot), strict=True)]
     body = root.worldbody
@@ -218,7 +216,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
         if inertia is not None:
             set_inertia(body, inertia, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
-        # Site of arrows and billboards; its z is the joint's axis in both conventions.
+        # Site of arrows and billboards; its z is the joint axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
     carrying = [root.worldbody, *links][robot.flange_link]
     flange = carrying.add_body(name="flange", **pose(robot.T_n_flange))
@@ -255,14 +253,14 @@ def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
 
 
 def joint_centres(robot: SerialRobot) -> Array:
-    """Returns the frames (n, 4, 4) of the arrow and billboard of every joint, in its link's."""
+    """Returns the frames of the arrows and billboards of all joints in link frames, (n, 4, 4)."""
     at = np.tile(np.eye(4), (robot.n, 1, 1))
     at[:, :3, 3] = robot.offsets
     return np.asarray(robot.kinematics.axis_frames @ at)
 
 
 def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
-    for geom in geoms:  # a mirrored robot does not collide
+    for geom in geoms:  # collision geoms are added for simulation only
         body.add_geom(group=ROBOT_GROUP, contype=0, conaffinity=0, **geom)
 
 
@@ -285,7 +283,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
             castshadow=light.cast_shadow,
         )  # fmt: skip
     if not scene.lights:
-        # MuJoCo's shadows have dark specks in them far from the axis of a light.
+        # Far from the axis of a light, MuJoCo's shadows have dark specks.
         bases = [T[:3, 3] for T in base_frames(scene.robots).values()]
         middle = np.mean(bases, axis=0) if bases else np.zeros(3)
         _add_key_light(root, palette, middle + _KEY_LIGHT)
@@ -312,7 +310,10 @@ def build_surroundings(
 ) -> mujoco.MjSpec:
     """Returns surroundings like those of scenes, without robots.
 
-    The floor has a height, m, or is None. The lit region has a middle (3,) and a size, m.
+    Args:
+        floor: its height, m; None for no floor.
+        middle: of the lit region, (3,), m.
+        size: of the lit region, m.
     """
     root = mujoco.MjSpec()
     palette = PALETTES[look]
@@ -363,7 +364,7 @@ def _add_floor(
         name="floor", texrepeat=[0.5 / tile] * 2, texuniform=True, specular=0, shininess=0
     )
     floor.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
-    # A floor that casts shadows shows artefacts of its own shadow map.
+    # A floor that casts shadows shows artifacts of its own shadow map.
     root.worldbody.add_geom(
         name="floor", type=geom_type("plane"), pos=[0, 0, height], size=[0, 0, 0.05],
         material="floor", group=OBJECT_GROUP, castshadow=False,
@@ -465,7 +466,7 @@ def _mass_shares(path: Path, scale: Any) -> Array:
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
-    """Returns the names of the bodies of every double of a declaration, base to last link."""
+    """Returns the names of the bodies of each row of a double, base to last link."""
     rows = 1 if double.path is None else double.path_length
     return [
         [f"double-{double.name}-{row}-link{i}" for i in range(robot.n + 1)] for row in range(rows)
@@ -473,7 +474,7 @@ def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
 
 
 def frame_names(double: Double, robot: SerialRobot) -> list[str]:
-    """Returns the names of the bodies with the frames of a double's joints; empty for a path."""
+    """Returns the names of the bodies of a double's joint frames; empty for a path."""
     if double.path is not None:
         return []
     return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
@@ -482,11 +483,8 @@ def frame_names(double: Double, robot: SerialRobot) -> list[str]:
 def _add_double(
     root: mujoco.MjSpec, double: Double, robot: SerialRobot, T_world_base: Array
 ) -> None:
-    """Adds the bodies of a double, at zero joint angles.
-
-    The world hides them after compilation. If they were compiled far away, MuJoCo would scale near
-    plane, far plane and shadows to a scene of a kilometre.
-    """
+    # At zero joint angles; the world hides doubles after compilation. If they were compiled far
+    # away, MuJoCo would scale near plane, far plane and shadows to a scene of a kilometer.
     rows = body_names(double, robot)
     geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are reported for the robot itself
     at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)

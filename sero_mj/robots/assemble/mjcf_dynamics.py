@@ -1,7 +1,7 @@
 """Adds dynamics to a scene for simulation.
 
-Links get masses, joints get motor inertia and friction, and links collide with the world and
-with non-adjacent links. The display variant of the scene has none of this.
+Links get masses, joints get motor inertia and friction, and links collide with the world and with
+non-adjacent links. Scenes for display have none of these.
 """
 
 from __future__ import annotations
@@ -26,32 +26,31 @@ from .robot_dynamics import LinkInertia, RobotDynamics
 
 TIMESTEP = 1e-3  # s, an LWR's cycle
 HULL_GROUP = 4  # a hidden group: links are displayed by their meshes
-ON = "on_"  # prefix of a label: the body of the children fixed there
-PAYLOAD = "payload"  # a body at the flange, massless until something is picked up
-# Links closer than this count as neighbours, in housing radii: those of one wrist or shoulder
-# share a housing and always overlap.
+ON = "on_"  # prefix of the names of bodies with fixed children
+PAYLOAD = "payload"  # a body at the flange, massless until the robot picks up a payload
+# Links closer than this, in housing radii, are adjacent: those of one wrist or shoulder share a
+# housing and always overlap.
 _ONE_HOUSING = 4.0
-# Coulomb friction at rest creeps by at most 1e-6 rad/s (the default: 1e-4).
+# Limits creep at rest to 1e-6 rad/s, instead of 1e-4 with MuJoCo's default.
 _FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
 # Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
 # Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, which is stiff
-# immediately, a sliding probe chatters: its force alternates between 0 and twice the mean every few
-# steps.
+# immediately, a sliding probe chatters: its force alternates between 0 and twice the mean.
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
 COUPLING = "-coupling"  # suffix of a joint's name: the constraint that couples it
-# Gears and tendons that couple joints deflect by 1e-4 rad at most.
+# The maximum deflection of gears and tendons that couple joints is 1e-4 rad.
 _GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
-_ON_FLOOR = 1 << 30  # the mask of geoms that touch the floor, and not each other
+_ON_FLOOR = 1 << 30  # mask of geoms that collide with the floor only
 _FAR = 1e6  # rad or m, for a joint with a limit on one side
 # Joint limits are soft, like rubber end stops.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
 def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
-    """Sets time step, integrator, solver and contact options; adds no artificial stabilization.
+    """Sets time step, integrator, solver and contact options.
 
     Args:
         has_free: whether there are free objects, which may be grasped.
@@ -59,9 +58,8 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    root.option.cone = (
-        mujoco.mjtCone.mjCONE_ELLIPTIC
-    )  # pyramids give a third too little friction in soft contacts
+    # In soft contacts, friction of pyramidal cones is a third too low.
+    root.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     if has_free:
         # Friction is ten times stiffer than the contact. With MuJoCo's soft friction, objects in a
         # soft grasp slip: a can of 0.2 kg between two fingers by 4 mm/s, now 0.4.
@@ -73,14 +71,14 @@ def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
 
 
 def set_friction(geom: Any, coefficient: float) -> None:
-    """Gives a geom a declared friction, which applies to all its contacts."""
+    """Sets the friction of all contacts of a geom."""
     geom.friction[0], geom.priority = coefficient, 1
 
 
 def set_contact_defaults(model: mujoco.MjModel) -> None:
     """Sets friction and contact softness of geoms that have MuJoCo's defaults."""
-    unsaid = (model.geom_friction == _RUBBER).all(axis=1) & (model.geom_priority == 0)
-    model.geom_friction[unsaid] = _SLIDING
+    has_default = (model.geom_friction == _RUBBER).all(axis=1) & (model.geom_priority == 0)
+    model.geom_friction[has_default] = _SLIDING
     sudden = (model.geom_solimp == _SUDDEN).all(axis=1)
     model.geom_solimp[sudden], model.geom_solref[sudden] = _SOFT, _TIME_CONSTANT
 
@@ -112,7 +110,7 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
 
 
 def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
-    """Gives a body the mass, centre and tensor of link i; 0 is the base of a carried robot."""
+    """Sets mass, center and tensor of a body to those of link i, or of the base (0)."""
     body.explicitinertial = True
     _fill_inertia(body, dynamics, i)
 
@@ -126,13 +124,13 @@ def _fill_inertia(body: Any, dynamics: RobotDynamics | LinkInertia, i: int) -> N
 def weighed_model(
     model: mujoco.MjModel, robots: Mapping[str, RobotPart], dynamics: Mapping[str, RobotDynamics]
 ) -> mujoco.MjModel:
-    """Returns a copy of a model to look at whose links have masses, and all else has none.
+    """Returns a copy of a model for display in which only links have masses.
 
-    In the model itself MuJoCo takes them from the volume of what is drawn.
+    The masses of the model itself are those of the volumes of its geoms.
     """
     weighed = copy.copy(model)
     weighed.body_mass[:], weighed.body_inertia[:] = 0.0, 0.0
-    weighed.body_sameframe[:] = 0  # centres of mass are not at origins any more
+    weighed.body_sameframe[:] = 0  # centers of mass are no longer at origins
     for name, of in dynamics.items():
         for i, body in enumerate(robots[name].bodies.tolist()):
             _fill_inertia(weighed.body(body), of, i)
@@ -151,9 +149,9 @@ def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
     """Returns the damping of the elastic deflections in the model, (n,), Nm s/rad.
 
     MuJoCo evaluates springs at the start of a step and damping at its end, so a light link on a
-    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). Damping of half the
-    stiffness times the step makes it stable for all stiffnesses, links and steps: the spring then
-    acts in the middle of the step. The declared damping is used if it is larger, else this.
+    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). A damping of half the
+    stiffness times the time step makes it stable for any stiffness, link and step, because the
+    spring then acts in the middle of the step. This is the minimum for the declared damping.
 
     Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
         1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
@@ -162,13 +160,13 @@ def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
 
 
 def is_limited(robot: SerialRobot, i: int) -> bool:
-    """Whether a joint has a position limit, on one side at least."""
+    """Whether a joint has a lower or upper position limit."""
     limits = robot.position_limits
     return limits is not None and bool(np.isfinite(limits[i]).any())
 
 
 def position_range(robot: SerialRobot, i: int) -> Array:
-    """Returns the position limits (2,) of a limited joint, rad or m; a missing one is far away."""
+    """Returns the position limits (2,) of a limited joint, rad or m; infinite ones become 1e6."""
     assert robot.position_limits is not None
     return np.asarray(np.clip(robot.position_limits[i], -_FAR, _FAR))
 
@@ -181,7 +179,7 @@ def _add_deflection(
     dynamics: RobotDynamics,
     i: int,
 ) -> None:
-    """Adds a spring between motor and link: two joints on one axis, whose angles add up."""
+    # Two joints on one axis, whose angles add up: the motor and the spring.
     name = deflection_joint(robot.names[i])
     deflection = body.add_joint(
         name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False
@@ -207,7 +205,7 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
         if declared is not None:
             for geom in declared[i]:
                 own = {**touches, **geom}
-                # With this mask it collides with the floor only, which has none.
+                # With this mask it collides with the floor only.
                 own["contype"] = 0 if sunk[i] else own["contype"] or _ON_FLOOR
                 body.add_geom(group=HULL_GROUP, mass=0, **own)
             continue
@@ -222,10 +220,7 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
 
 
 def _links_near_base(robot: SerialRobot) -> Bools:
-    """Returns which links are so close to a base in the world that they may overlap its mount.
-
-    (n + 1,). For a robot with a free or mounted base all links collide with the floor.
-    """
+    # These links may overlap the floor or table on which the robot is mounted.
     if robot.free_base is True or robot.mount is not None:
         return np.zeros(robot.n + 1, bool)
     table = robot.kinematics
@@ -236,7 +231,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
-    """Excludes collisions between links of one housing, in a scene with the robot attached."""
+    """Excludes collisions between adjacent links of an attached robot."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
     for i, k in [] if robot.mjcf is None else excluded_links(robot):
         root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
@@ -258,11 +253,11 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
 def exclude_mounted(
     root: mujoco.MjSpec, robots: Mapping[str, SerialRobot], together: Sequence[Sequence[str]]
 ) -> None:
-    """Excludes collisions between links that mounts make neighbours.
+    """Excludes collisions between links of different robots that are adjacent at a mount.
 
-    As within one robot these are links with up to two joints between them, here over a mount: of
-    the robot that carries and of the carried one, or of two that the same link carries, such as
-    fingers on a palm (`together`).
+    As within a robot, these have up to two joints between them. They belong to a robot and its
+    carrier, or to two robots on the same link, such as fingers on a palm. `together` lists robots
+    that stand in the world as if on one link.
     """
     # By carrying link: the robots on it, their links near it, and their distances in joints.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}

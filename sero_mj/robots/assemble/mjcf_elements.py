@@ -34,17 +34,15 @@ Hull = Literal["always", "unless flat", "never"]
 def mesh_assets(
     spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, hull: Hull = "always"
 ) -> list[tuple[str, Rgba | None]]:
-    """Adds a mesh file to the assets.
+    """Adds a mesh file to the assets, and returns name and color of a mesh for each of its colors.
+
+    A mesh of the same file and scale is reused.
 
     Args:
-        spec: receives it; an existing mesh of the same file and scale is reused.
-        path: of the file, in any format supported by `read_mesh`.
-        scale: m per unit, one number or along x, y and z; negative ones mirror it.
-        hull: whether it gets a convex hull: for collisions or masses, where flat meshes are
-            refused; for masses unless it is flat; or never, for visual geometry.
-
-    Returns:
-        name and colour of a mesh for each colour in the file; None for no colour.
+        path: a file in any format supported by `read_mesh`.
+        scale: m per unit, one number or (3,); negative numbers mirror the mesh.
+        hull: whether it gets a convex hull: "always" for collisions, for which flat meshes are
+            rejected; "unless flat" for masses; "never" for visual geometry.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -53,7 +51,8 @@ def mesh_assets(
     for k, piece in enumerate(read_mesh(path)):
         named = path.with_suffix(piece.ending)
         file = add_file(spec, named, piece.contents, piece.digest)
-        # Of the hull, so that a mesh with holes has a mass; computing the hull dominates the time.
+        # The mass is that of the hull, because meshes may have holes. Computing hulls takes most of
+        # the time.
         has_hull = hull == "always" or (hull == "unless flat" and not piece.is_flat)
         inertia = _CONVEX if has_hull else _SHELL
         same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
@@ -76,16 +75,15 @@ def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
 
 
 def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
-    """Returns the attribute of geoms with a finish; its material is added once.
+    """Returns the attribute of geoms with a finish, and adds its material once.
 
-    Args:
-        finish: plastic is what geoms without a material are of.
+    Geoms without a material are plastic.
     """
     if finish == "plastic":
         return {}
     if spec.material(finish) is None:
         look = FINISHES[finish]
-        # This colour is MuJoCo's for "none", so that a geom of the same colour keeps it.
+        # This color means "none" to MuJoCo, so geoms of this color do not change.
         spec.add_material(
             name=finish, rgba=[0.5, 0.5, 0.5, 1], roughness=look.roughness, metallic=look.metallic,
             specular=look.specular, shininess=look.shininess,

@@ -1,7 +1,7 @@
-"""The geoms of robots from MJCF: copied unchanged from the compiled model of their file.
+"""Copies the geoms of robots from MJCF out of the compiled model of their file.
 
-This includes vertices, normals and texture coordinates of meshes, textures of materials, and masks
-and contact parameters of collision geoms.
+Vertices, normals and texture coordinates of meshes, textures of materials, and masks and contact
+parameters of collision geoms are unchanged.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def mjcf_tree(robot: SerialRobot) -> MjcfTree:
 
     Raises DeclarationError if it cannot be read, or has a different number of joints.
     """
-    from ..importers.mjcf_robot import cached_tree  # most robots are not read from MJCF
+    from ..importers.mjcf_robot import cached_tree  # imported here because few robots need it
 
     tree = cached_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
@@ -56,19 +56,19 @@ def drawn_links(
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
-    seen = geoms[(model.geom_group[geoms] < _SHOWN_GROUPS) & (model.geom_rgba[geoms, 3] > 0)]
+    visible = geoms[(model.geom_group[geoms] < _SHOWN_GROUPS) & (model.geom_rgba[geoms, 3] > 0)]
     links: list[list[dict[str, Any]]] = [[] for _ in tree.poses]
     # If a link has non-colliding geoms, colliding ones of other groups are their collision shapes.
-    links_of = tree.links[model.geom_bodyid[seen]]
-    is_look = (model.geom_contype | model.geom_conaffinity)[seen] == 0
+    links_of = tree.links[model.geom_bodyid[visible]]
+    is_look = (model.geom_contype | model.geom_conaffinity)[visible] == 0
     replaced = np.isin(links_of, links_of[is_look])
-    replaced &= ~np.isin(model.geom_group[seen], model.geom_group[seen[is_look]])
-    seen = seen[~replaced]
-    if model.nskin or not len(seen):  # geoms under a skin, and robots with collision geoms only
-        bare = np.setdiff1d(np.arange(len(tree.poses)), tree.links[model.geom_bodyid[seen]])
+    replaced &= ~np.isin(model.geom_group[visible], model.geom_group[visible[is_look]])
+    visible = visible[~replaced]
+    if model.nskin or not len(visible):  # geoms under a skin, and robots with collision geoms only
+        bare = np.setdiff1d(np.arange(len(tree.poses)), tree.links[model.geom_bodyid[visible]])
         hidden = np.isin(tree.links[model.geom_bodyid[geoms]], bare)
-        seen = np.union1d(seen, geoms[hidden])
-    for geom in seen.tolist():
+        visible = np.union1d(visible, geoms[hidden])
+    for geom in visible.tolist():
         look: dict[str, Any] = {"rgba": model.geom_rgba[geom]}
         material = int(model.geom_matid[geom])
         if material >= 0:
@@ -152,8 +152,8 @@ def _mesh(
     corners = model.mesh_face[faces].ravel()
     normal_of = model.mesh_facenormal[faces].ravel()
     if scope != TOUCHING and (corners != normal_of).any():
-        # MuJoCo's compiler ignores `userfacenormal` and takes one normal for each vertex, so that
-        # vertices with several, as at the edges of an OBJ, are repeated.
+        # MuJoCo's compiler ignores `userfacenormal` and uses one normal per vertex. Therefore
+        # vertices with several normals, as at the edges of an OBJ, are repeated.
         _, first, parted = np.unique(
             corners.astype(np.int64) * len(normals) + normal_of,
             return_index=True,

@@ -22,8 +22,8 @@ from .decor_sizes import Sizes
 Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
 
 _DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
-# The least that counts as the largest torque, so that noise does not fill the arrow: a share of
-# what gravity loads the joint with, where that is known, else Nm or N.
+# Lower bound of the largest torque, so that arrows do not scale with noise: a share of the gravity
+# load of the joint if that is known, else Nm or N.
 _FLOOR_OF_LOAD, _FLOOR = 0.1, 1.0
 _DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
 
@@ -39,8 +39,8 @@ class RobotPart:
         bodies: ids of the base and every link, (n + 1,).
         joints: its rows in the world's `JointTable`.
         free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
-            a planar one, (3,); else empty.
-        sizes: of its arrows, measured with `fit_arrows`; None for the declared ones.
+            a planar base, (3,); else empty.
+        sizes: of its arrows if `fit_arrows`; None for declared sizes.
     """
 
     robot: SerialRobot
@@ -60,15 +60,15 @@ class RobotPart:
 
     @property
     def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of every joint's arrow, (n,); less for joints close to each other."""
+        """`arrow_width_scale` of each joint, (n,), reduced for joints close to each other."""
         scales = np.full(self.robot.n, self.robot.arrow_width_scale)
         return scales if self.sizes is None else scales * self.sizes.full_width
 
     @property
     def arrow_loads(self) -> Array:
-        """Effort at which an arrow without limit is as wide as its radius, (n,), Nm or N.
+        """Efforts at which arrows without limit reach their full width, (n,), Nm or N.
 
-        Infinite where `arrow_width_scale` sets the width.
+        Infinite if `arrow_width_scale` sets the width.
         """
         if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
             return np.full(self.robot.n, np.inf)
@@ -108,7 +108,7 @@ class RobotPart:
 
     @property
     def own_link_names(self) -> list[str]:
-        """Names of its base and links in the robot's own file, n + 1; else as `link_names`."""
+        """Names of base and links in the file of the robot, or `link_names`."""
         own = self.robot.link_names
         return self.link_names if own is None else [f"{self.robot.name}/{link}" for link in own]
 
@@ -119,7 +119,7 @@ class RobotPart:
 
     @property
     def reach(self) -> float:
-        """Sum of the lengths of its links, of the longest branch, m; 1 if that is zero."""
+        """Sum of the link lengths of the longest branch, m; 1 if it is zero."""
         table = self.kinematics
         return float(table.path_lengths(table.step_lengths()).max()) or 1.0
 
@@ -131,13 +131,13 @@ class DoublePart:
     Attributes:
         mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
             rows.
-        bodies: their ids, (rows, n + 1).
-        frames: index in `mocap_pos` of the frame of every link, (n,), placed also for hidden
+        bodies: ids of base and links, (rows, n + 1).
+        frames: index in `mocap_pos` of the frame of every link, (n,), which is also set for hidden
             links; empty for a path.
         path: joint angles of every row, (rows, n); None for a single double.
         joints: its rows in the world's `JointTable`; empty for a path.
-        below: the double of its robot's carrier, on which it is mounted while that has a pose; None
-            unless both are doubles of one group.
+        below: the double of the carrier of its robot, if both belong to one group; this double is
+            mounted on it while it has a pose.
     """
 
     double: Double
@@ -151,7 +151,7 @@ class DoublePart:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the model has bodies for it; otherwise decor draws it."""
+        """Whether the model contains its bodies; otherwise decor draws it."""
         return self.bodies.size > 0
 
     @property
@@ -203,9 +203,9 @@ Owner = RobotPart | DoublePart
 
 
 def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
-    """Returns the number of the robot of every body, (nbody,); -1 for none.
+    """Returns the index of the robot of every body, (nbody,), or -1.
 
-    Objects fixed to a robot belong to it, mounted robots do not.
+    A robot includes objects fixed to it, but not robots mounted on it.
     """
     owner = np.full(model.nbody, -1, np.intp)
     for number, part in reversed(list(enumerate(robots.values()))):
@@ -221,8 +221,8 @@ class DrawnDouble:
     """A double drawn from another state of the same model.
 
     Attributes:
-        data: the other state, frames up to date.
-        opacity: factor for every geom of the model, (ngeom,); 0 for those that are not drawn.
+        data: the other state, after forward kinematics.
+        opacity: factor for every geom of the model, (ngeom,); 0 for hidden geoms.
     """
 
     double: str
@@ -237,27 +237,25 @@ class JointTable:
     """Arrays over all N joints: those of the robots, then those of their doubles.
 
     Attributes:
-        names: joint names, N.
         owner: index in the world's `owners`.
-        limb: number of its limb; each owner has its own.
-        of_robot: number of joints of robots; the rest belong to doubles.
-        centre_site: site at the centre of its arrow and billboard, z along the joint's axis; a
-            row of `site_xpos` in what `World.state` returns.
-        qpos: index in `qpos` of the robots' joints, (of_robot,).
-        angle_slots: index in `userdata` of the doubles' joint angles, (N - of_robot,).
-        slots: for each per-joint input, index in `userdata` of its value; -1 where the joint's
-            owner does not have it.
-        has: likewise for the flag that data was received; includes `joint_angles`.
-        torque_limit: Nm or N, inf for none. Where `is_largest`, the largest torque seen so far,
-            which `note_largest` raises.
-        is_largest: whether that is so, (N,).
-        torque_units: in which torques are displayed, N; one prefix for all joints of an owner.
-        scaled_with: index of the joint whose largest torque counts, (N,): of doubles that of their
-            robot.
+        limb: number of its limb, unique among all owners.
+        of_robot: number of joints of robots; the others belong to doubles.
+        centre_site: site at the center of its arrow and billboard, z along the joint axis; a
+            row of `site_xpos` of the result of `World.state`.
+        qpos: index in `qpos` of the joints of robots, (of_robot,).
+        angle_slots: index in `userdata` of the joint angles of doubles, (N - of_robot,).
+        slots: for each per-joint input, index in `userdata` of its value; -1 if the owner of the
+            joint does not have the input.
+        has: index in `userdata` of the flags of these inputs and of `joint_angles`; -1 as above.
+        torque_limit: Nm or N, infinite for no limit. If `is_largest`, the largest torque so far.
+        is_largest: whether `note_largest` updates `torque_limit`, (N,).
+        torque_units: display units of torques, N; one prefix for all joints of an owner.
+        scaled_with: index of the joint with the shared largest torque, (N,): for joints of doubles,
+            that of their robot.
         arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
             shows.
-        arrow_load: Nm or N at which the arrow of a joint without limit is as wide as its radius;
-            inf where `arrow_width_scale` sets the width.
+        arrow_load: Nm or N at which the arrow of a joint without limit reaches its full width;
+            infinite if `arrow_width_scale` sets the width.
     """
 
     names: list[str]
@@ -283,17 +281,17 @@ class JointTable:
     arrow_alpha: Array
 
     def angles(self, data: mujoco.MjData) -> Array:
-        """Returns the angles of all joints (N,), rad or m; zero for a double without any."""
+        """Returns the angles of all joints, (N,), rad or m; zero for doubles without angles."""
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
-    def note_largest(self, torques: Array, most: float) -> None:
-        """Raises `torque_limit` to torques (N,) that are larger, where `is_largest`.
+    def note_largest(self, torques: Array, max_factor: float) -> None:
+        """Raises `torque_limit` of joints with `is_largest` to larger torques, (N,).
 
-        A torque above `most` times the limit so far counts as a fault.
+        Torques above `max_factor` times the limit so far are implausible and ignored.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):
-            new = self.is_largest & (size > limit) & (size <= most * limit)
+            new = self.is_largest & (size > limit) & (size <= max_factor * limit)
         if new.any():
             np.maximum.at(limit, self.scaled_with[new], size[new])
             limit[self.is_largest] = limit[self.scaled_with[self.is_largest]]
@@ -307,8 +305,8 @@ class FrameTable:
         names: e.g. `lwr/link3`, M.
         owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
             for a frame with its own toggle.
-        shown: whether it is initially shown, for frames with their own toggle.
-        has: index in `userdata` of the flag that its pose is known; -1 for always.
+        shown: initial state of its own toggle.
+        has: index in `userdata` of the flag that its pose is known; -1 if it is always known.
     """
 
     names: list[str]
@@ -325,8 +323,8 @@ class ArrowTable:
     """Arrays over all K smart arrows.
 
     Attributes:
-        components_site: site of the frame its components are in; -1 for the world.
-        frames: rows in the `FrameTable` of the frame it acts at and of the frame of its
+        components_site: site of the frame of its components; -1 for the world.
+        frames: rows in the `FrameTable` of the frame at which it acts and of the frame of its
             components, (K, 2); -1 for a point and for the world.
         slots: indices in `userdata` of its components, (K, 3).
         has: index in `userdata` of the flag that data was received.
@@ -352,10 +350,7 @@ def make_tables(
     flags: Mapping[str, int],
     sites: Sites,
 ) -> tuple[JointTable, FrameTable, ArrowTable]:
-    """Builds the tables of all joints, named frames and smart arrows of a compiled scene.
-
-    Owners are robots, then doubles that have joints; `sites` returns the ids of sites by name.
-    """
+    """Returns the tables of joints, named frames and smart arrows of a compiled scene."""
     return (
         _joint_table(owners, slots, flags, sites),
         _frame_table(scene, list(owners), flags, sites),

@@ -1,4 +1,4 @@
-"""Converts a URDF without joints, such as a table or a tool, to MJCF for a scene's object."""
+"""Converts a URDF without joints, such as a table or a tool, to MJCF for an object of a scene."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def urdf_piece(path: Path) -> mujoco.MjSpec:
 
     Raises DeclarationError if the file cannot be read, or has joints.
     """
-    from ..importers.urdf import read_rigid_urdf  # most scenes have none
+    from ..importers.urdf import read_rigid_urdf  # imported here because few scenes need it
 
     described = read_rigid_urdf(path)
     for warning in described.warnings:

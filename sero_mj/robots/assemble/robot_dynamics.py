@@ -1,7 +1,7 @@
-"""`RobotDynamics`: a robot's masses, friction and elasticity, declared or estimated.
+"""`RobotDynamics`: masses, friction and elasticity of a robot, declared or estimated.
 
-Link inertias that a robot file does not state are estimated from mesh hulls or generated shapes:
-MuJoCo computes volumes, centres of mass and tensors; the density is declared or `LINK_DENSITY`.
+Undeclared link inertias are estimated from mesh hulls or generated shapes: MuJoCo computes volumes,
+centers of mass and tensors, and the density is declared or `LINK_DENSITY`.
 """
 
 from __future__ import annotations
@@ -24,50 +24,56 @@ from .mjcf_elements import MESH, hull_asset, shape_geom
 GRAVITY = 9.81  # m/s2, MuJoCo's default
 EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 
-# Estimates in proportion to a joint's rated effort: its torque limit, or _STRENGTH times the
-# effort that holds the stretched arm (the LWR's limit is 3.8 times that at joint 2). Per Nm of
-# torque limit the LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction
-# and 0.005 to 0.009 Nm viscous friction at 1 rad/s.
+# Estimates in proportion to the rated effort of a joint: its torque limit, or _STRENGTH times the
+# effort that holds the stretched arm (3.8 times for joint 2 of the LWR). Per Nm of torque limit the
+# LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction and 0.005 to
+# 0.009 Nm viscous friction at 1 rad/s.
 _STRENGTH = 3.5
 _MOTOR_INERTIA = 0.012
 _COULOMB = 0.004
 _VISCOUS = 0.008
 _FIRST_MODE = 10.0  # Hz, motor against held link
 _DAMPING_RATIO = 0.03  # of that mode
-_LARGE = 1.1  # from this ratio on it is told that an inertia is too large for its link's geometry
+_LARGE = 1.1  # radius of gyration over size of the geometry, above which an inertia is reported
 _STEEL = 7800.0  # kg/m3; no link is denser
-# Meshes thinner than this share of their length have no hull; a sheet of 1 mm replaces them.
-_FLATNESS, _THICKNESS = 1e-5, 0.5e-3  # and half of that, m
-# Lower bound: MuJoCo refuses bodies of smaller mass.
-_MIN_MASS = 1e-6  # kg
-# A massless link, which MuJoCo also refuses, gets this share of its robot's mass, and this radius
-# of gyration in m; and MuJoCo's minimum of both, in kg and kg m2.
+# Meshes thinner than this share of their length have no hull; sheets of 1 mm replace them.
+_FLATNESS, _THICKNESS = 1e-5, 0.5e-3  # thickness: half of the sheet, m
+_MIN_MASS = 1e-6  # kg; MuJoCo rejects bodies of smaller mass
+# Links declared without mass, which MuJoCo rejects, get this share of the mass of the robot and
+# this radius of gyration, m, or the minimum of MuJoCo, kg and kg m2.
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
+# The largest arms on the market reach 4.7 m and weigh 4.7 t; few exceed these values.
+_LARGE_REACH, _LARGE_MASS = 4.0, 1500.0  # m, kg
+# Ratio of the torque that holds the stretched arm to the torque limit; robots have 0.2 to 1.3.
+_LARGE_SHARE = 10.0
+# Strokes from the first value, m, are compared with the reach without strokes, of which arms on
+# rails have up to 6; strokes above the second value are always reported.
+_LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0
 
 
 class LinkInertia(NamedTuple):
-    """Inertias of the base and every link, in the frames of the DH rows."""
+    """Inertias of the base and every link, as in `RobotDynamics`."""
 
-    masses: Array  # (n + 1,), kg
-    centers: Array  # (n + 1, 3), centres of mass, m
-    tensors: Array  # (n + 1, 3, 3), about these, kg m2
+    masses: Array
+    centers: Array
+    tensors: Array
 
 
 @dataclass(frozen=True, eq=False)
 class RobotDynamics:
-    """Parameters of a robot's equations of motion, in the frames of the DH rows.
+    """Parameters of the equations of motion of a robot, in the frames of the DH rows.
 
     Attributes:
         masses: of the base and every link, (n + 1,), kg.
-        centers: centres of mass, (n + 1, 3), m.
-        tensors: about the centres of mass, (n + 1, 3, 3), kg m2.
+        centers: centers of mass, (n + 1, 3), m.
+        tensors: about the centers of mass, (n + 1, 3, 3), kg m2.
         motor_inertias: reflected to the joints, (n,), kg m2.
         viscous_friction: on the motor side of the torque sensor, (n,), Nm s/rad.
-        coulomb_friction: likewise, (n,), Nm.
+        coulomb_friction: on the motor side of the torque sensor, (n,), Nm.
         joint_stiffness: (n,), Nm/rad.
         joint_damping: (n,), Nm s/rad.
-        estimated: keys of the robot file's `[dynamics]` that are estimated, not declared.
-        hulls: vertices of the links' convex hulls, (k, 3) each, m; None without meshes.
+        estimated: keys of `[dynamics]` that are estimated.
+        hulls: vertices of the convex hull of each link, (k, 3), m; None without meshes.
     """
 
     masses: Array
@@ -83,7 +89,7 @@ class RobotDynamics:
 
 
 def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
-    """Returns the declared parameters, in the frames of the DH rows, and estimates for the rest.
+    """Returns the declared parameters, and estimates of all others.
 
     Raises:
         DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
@@ -103,45 +109,46 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
         held = _STRENGTH * holding_efforts(robot, links)
         limits = np.where(np.isfinite(limits), limits, held)
 
-    def given(key: str, estimate: Array) -> Array:
+    def declared_or(key: str, estimate: Array) -> Array:
         value: Array | None = getattr(declared, key)
         if value is None:
             estimated.append(key)
         return estimate if value is None else value
 
-    motor = given("motor_inertias", _MOTOR_INERTIA * limits)
-    viscous = given("viscous_friction", _VISCOUS * limits)
-    coulomb = given("coulomb_friction", _COULOMB * limits)
+    motor = declared_or("motor_inertias", _MOTOR_INERTIA * limits)
+    viscous = declared_or("viscous_friction", _VISCOUS * limits)
+    coulomb = declared_or("coulomb_friction", _COULOMB * limits)
     if robot.elastic_joints and (motor <= 0).any():
         message = (
             f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a motor inertia above 0 "
             "for a robot with elastic_joints"
         )
         raise Problem("dynamics.motor_inertias", message).error()
-    stiffness = given("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
-    damping = given("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
+    stiffness = declared_or("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
+    damping = declared_or("joint_damping", 2 * _DAMPING_RATIO * np.sqrt(stiffness * motor))
     return RobotDynamics(
         *links, motor, viscous, coulomb, stiffness, damping, tuple(estimated), hulls
     )
 
 
 def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
-    """Returns a text with a robot's mass, and its undeclared parameters."""
+    """Returns a text with the mass of a robot, and links without a mass."""
     text = f"{dynamics.masses.sum():.4g} kg"
     declared = robot.dynamics.masses
     if declared is None or "masses" in dynamics.estimated:
         density = min(robot.dynamics.density, _STEEL)
-        return f"{text}, estimated: none are declared, its shapes count with {density:g} kg/m3"
+        shapes = f"estimated from the link shapes at {density:g} kg/m3"
+        return f"{text}, {shapes} (no mass is declared)"
     none = [link_name(k) for k in np.flatnonzero(declared == 0).tolist()]
     return f"{text}, as declared" + (f"; {', '.join(none)}: without a mass" if none else "")
 
 
 def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
-    """Returns a text for every link with an inertia that no mass within its geometry can have.
+    """Returns a text for every link with an inertia that is too large for its geometry.
 
-    The moment of inertia of a mass about an axis through its centre is at most m r^2, where r is
-    the distance of its farthest point. Such inertias are common: templates of URDF have those of
-    a box with sides of 1 m.
+    The moment of inertia of a mass about an axis through its center is at most m r^2, where r is
+    the distance of its farthest point. Larger inertias are common: templates of URDF contain those
+    of a box with sides of 1 m.
     """
     largest = np.linalg.eigvalsh(dynamics.tensors)[:, -1]
     lines = []
@@ -153,10 +160,42 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
         if radius > _LARGE * reach:
             name = robot.link_names[k] if robot.link_names is not None else link_name(k)
             lines.append(
-                f"{name}: its inertia has a radius of gyration of {radius:.2g} m; its geometry "
-                f"reaches {reach:.2g} m from its centre of mass"
+                f"{name}: its inertia has a radius of gyration of {radius:.2g} m, but its geometry "
+                f"reaches only {reach:.2g} m from its center of mass"
             )
     return lines
+
+
+def about_units(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
+    """Returns a sentence for each mass or length that is probably in g or mm."""
+    notes = []
+    names, types = robot.names, robot.types
+    limits = robot.plausible_limits
+    strokes = np.ptp(np.where(np.isfinite(limits), limits, 0.0), axis=1)
+    plain = robot.model_copy(update={"position_limits": None}).reach
+    for k in range(robot.n):
+        stroke = float(strokes[k])
+        is_long = stroke > max(_STROKES * plain, _LONG_STROKE) or stroke > _LONGEST_STROKE
+        if types[k] == "prismatic" and is_long:
+            notes.append(f"joint {names[k]} has a range of {stroke:.4g} m: are its limits in mm?")
+    reach = plain if notes else robot.reach
+    if reach > _LARGE_REACH:
+        notes.append(f"few robots reach {reach:.4g} m: are lengths in mm?")
+    mass = float(dynamics.masses.sum())
+    if mass > _LARGE_MASS:
+        is_estimate = "masses" in dynamics.estimated
+        cause = "lengths in mm" if is_estimate else "masses in g"
+        notes.append(f"few robots weigh {mass:,.0f} kg: are {cause}?")
+    links = LinkInertia(dynamics.masses, dynamics.centers, dynamics.tensors)
+    shares = holding_efforts(robot, links) / robot.torque_bounds
+    worst = int(np.argmax(shares))
+    if shares[worst] > _LARGE_SHARE:
+        notes.append(
+            f"joint {names[worst]} needs up to {shares[worst]:,.0f} times its torque limit to hold "
+            "the robot against gravity: are masses in g, lengths in mm, or is the limit in another "
+            "unit?"
+        )
+    return notes
 
 
 def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
@@ -170,7 +209,7 @@ def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
 
 
 def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
-    """Returns the declared inertias of base and links; None without declared masses."""
+    """Returns the declared inertias of base and links, or None without declared masses."""
     if robot.mirrored:
         links = declared_inertia(robot.model_copy(update={"mirrored": False}))
         S = MIRROR[:3, :3]
@@ -196,7 +235,7 @@ def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
 
 
 def holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
-    """Returns the efforts that hold the arm, stretched from each joint, against gravity, (n,)."""
+    """Returns the efforts that hold the arm, stretched horizontally from each joint, (n,)."""
     table = robot.kinematics
     along = table.path_lengths(table.distances())
     gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
@@ -206,10 +245,6 @@ def holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
 
 
 def _link_hulls(robot: SerialRobot) -> list[Array | None]:
-    """Returns the vertices (k, 3), m, of the convex hull of every link's meshes, in its DH frame.
-
-    None for a link without meshes. Raises as `robot_dynamics` does.
-    """
     hulls: list[Array | None] = [None] * (robot.n + 1)
     if not robot.filenames:
         return hulls
@@ -217,7 +252,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     owners: list[int] = []
     problems: list[Problem] = []
     places: list[Array] = []
-    # Without hulls MuJoCo stores vertices in another frame, whose rounding would change every run.
+    # Without hulls, MuJoCo stores vertices in another frame, with rounding that would change runs.
     for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
@@ -241,7 +276,7 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12
-    # The stroke of a slide, and so the drawn length of its rod, does not affect its mass.
+    # The mass does not depend on the stroke of a prismatic joint, which sets the length of its rod.
     robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
     others = generated(robot)  # for links without geometry
@@ -264,7 +299,7 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
 
 
 def _corners(model: mujoco.MjModel, mesh: int) -> Array:
-    """Returns the vertices of a mesh in its file's frame; MuJoCo stores them about its centre."""
+    # MuJoCo stores vertices relative to the center of the mesh, not in the frame of the file.
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     axes = frames.rotation_from_quat(model.mesh_quat[mesh])
     corners = model.mesh_vert[start : start + count].astype(np.float64)
@@ -272,21 +307,17 @@ def _corners(model: mujoco.MjModel, mesh: int) -> Array:
 
 
 def _hull(cloud: Array) -> Array:
-    """Returns the vertices (k, 3) of the convex hull of points (m, 3), read-only.
-
-    Coplanar points become a sheet of a millimetre.
-    """
     middle = cloud.mean(axis=0)
     extents, axes = np.linalg.eigh((cloud - middle).T @ (cloud - middle) / len(cloud))
     thin = extents < _FLATNESS**2 * max(extents[2], 1e-12)
     if thin.any():
         away = _THICKNESS * axes.T[thin].sum(axis=0)
         cloud = np.concatenate([cloud - away, cloud + away])
-    return _kept_hull(np.ascontiguousarray(cloud).tobytes())
+    return _cached_hull(np.ascontiguousarray(cloud).tobytes())
 
 
-@lru_cache(maxsize=128)  # the same meshes in every variant of a sweep: half the time of a world
-def _kept_hull(cloud: bytes) -> Array:
+@lru_cache(maxsize=128)  # in sweeps, hulls take half of the time to compile a world
+def _cached_hull(cloud: bytes) -> Array:
     root = mujoco.MjSpec()
     points = np.frombuffer(cloud).reshape(-1, 3)
     root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", points))

@@ -21,16 +21,12 @@ _EXTRA_GEOMS = 100  # geoms that MuJoCo adds to those of a model
 
 
 def is_shown(model: mujoco.MjModel) -> Bools:
-    """Returns whether MuJoCo shows each geom by default, (ngeom,)."""
+    """Returns whether each geom is visible by default, (ngeom,)."""
     return np.asarray((model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0))
 
 
 def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> Ints:
-    """Returns the visible geoms of bodies, or all if none is visible, (k,).
-
-    Args:
-        trunk: the world's geoms of a fused trunk.
-    """
+    """Returns the visible geoms of bodies and `trunk`, or all if none is visible, (k,)."""
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
     if trunk is not None:
         mine[trunk] = True
@@ -39,7 +35,7 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
 
 
 def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the lowest and highest corners of boxes about all geoms, (ngeom, 3) each, m."""
+    """Returns the minima and maxima of axis-aligned boxes about all geoms, (ngeom, 3) each, m."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
     half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
@@ -47,11 +43,7 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array
 
 
 def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None = None) -> Array:
-    """Returns the corners of the boxes about geoms that turn with them, (k, 8, 3), m.
-
-    Args:
-        geoms: which, (ngeom,); all when None.
-    """
+    """Returns the corners of oriented boxes about geoms, (k, 8, 3), m; None for all geoms."""
     which = slice(None) if geoms is None else geoms
     rotation = data.geom_xmat.reshape(-1, 3, 3)[which]
     box = model.geom_aabb[which]
@@ -60,9 +52,9 @@ def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None
 
 
 def lowest_height(model: mujoco.MjModel, data: mujoco.MjData, geoms: Ints) -> float:
-    """Returns the height of the lowest point of geoms, m; of meshes by their vertices.
+    """Returns the height of the lowest point of geoms, m.
 
-    Boxes stand in for other kinds: about a tilted mesh they may reach far below it.
+    It is exact for meshes; other geoms are approximated by axis-aligned boxes.
     """
     heights = geom_boxes(model, data)[0][:, 2]
     for geom in geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]:
@@ -75,11 +67,7 @@ def lowest_height(model: mujoco.MjModel, data: mujoco.MjData, geoms: Ints) -> fl
 
 
 class Solids:
-    """The shown geoms and skins of a model, in one pose.
-
-    Args:
-        data: the pose, after `mj_fwdPosition`.
-    """
+    """The visible geoms and skins of a model, for data after `mj_fwdPosition`."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
@@ -92,10 +80,9 @@ class Solids:
         self._skins = _posed_skins(model, data) if model.nskin else []
 
     def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
-        """Returns the share of rings about an axis that is inside geoms or skins, (k,).
+        """Returns the share of each ring about an axis that is inside geoms or skins, (k,).
 
-        The rings have ascending radii (k,), m, and are at a height, m, along the axis from the
-        centre.
+        The rings have ascending radii (k,), m, and a height, m, along the axis.
         """
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)

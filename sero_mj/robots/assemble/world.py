@@ -1,7 +1,7 @@
 """`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
 
-Values that decor shows and `MjData` has no field for are stored in named slots of
-`MjData.userdata`, which copies, history and recordings include. `mj_resetData` zeroes it.
+Displayed values without a field in `MjData` are stored in named slots of `MjData.userdata`, which
+copies, history and recordings include. `mj_resetData` sets them to zero.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from ...base.frames import Bools, Ints
 from ..declared.double import DOUBLE_GROUP, OUT_OF_SIGHT
 from ..declared.inputs import BLANKABLE, list_inputs, to_array, to_frame, userdata_slots
 from ..declared.mounts import carrier
+from ..declared.robot import SerialRobot
 from ..declared.robot_parts import VALUE_INPUTS
 from ..declared.scene import Scene
 from ..importers.mjcf_file import write_mjcf
@@ -42,18 +43,15 @@ class World(WorldView):
     """A compiled scene.
 
     Args:
-        dynamics: of its robots, if `dynamic`, instead of the declared ones.
+        dynamics: overrides the declared dynamics of the robots if `dynamic`.
 
     Attributes:
-        free_objects: indices in `qpos` (7,) of the pose of every free object, by name: position,
-            and quaternion with its scalar first; empty unless `dynamic`.
-        dynamics: parameters of every robot's equations of motion, by name; empty unless
-            `dynamic`.
-
-    The others are those of `WorldView`.
+        free_objects: indices in `qpos` of the pose of each free object, (7,), by name: position,
+            then quaternion with the scalar first; empty unless `dynamic`.
+        dynamics: by robot; empty unless `dynamic`.
 
     Raises:
-        DeclarationError: files or values that MuJoCo cannot compile, by robot and file.
+        DeclarationError: MuJoCo cannot compile the scene.
     """
 
     def __init__(
@@ -83,7 +81,7 @@ class World(WorldView):
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()
-            # Doubles cast no shadow; the shadow map costs as much as the picture.
+            # Doubles cast no shadow: a shadow map takes as long as the image.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
         self.robots = self._find_robots()
         self._measure_arrows()
@@ -159,7 +157,7 @@ class World(WorldView):
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
             self.set_declared(data, frame, ("frame",))
-        if self.owners:  # what is declared is no program's
+        if self.owners:  # declared values are not set by a program
             flags = [*self.flags.values()]
             data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
         mujoco.mj_forward(self.model, data)
@@ -168,10 +166,10 @@ class World(WorldView):
         """Sets an input; call `data.drive.place` afterwards to move the frames.
 
         Args:
-            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. The name may be that of a
-                group: its robots have their shares of the values, as of those of a route.
-            values: (n,), (3,), a frame (4, 4), or one number, SI units; NaN means no data, and so
-                does a number beyond `Input.limits` in an input that is only displayed.
+            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. If the name is that of a
+                group, the values are divided among its robots, as the values of a route.
+            values: (n,), (3,), a frame (4, 4), or one number. In an input that is only displayed,
+                NaN and numbers beyond `Input.limits` mean no data.
 
         Raises:
             UnknownName: no such name or input.
@@ -208,10 +206,10 @@ class World(WorldView):
         userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the scene as MJCF, and its mesh files in `NAME_assets`; returns all files.
+        """Writes the scene as MJCF, and its mesh files to `NAME_assets`; returns all files.
 
-        Key frame `home` is the declared pose. Masses are those of simulation; a comment says which
-        ones are estimated.
+        The keyframe `home` is the declared pose. Masses are those of simulation; a comment lists
+        the estimated masses.
         """
         spec, about = self._weighed()
         if self.model.nq and spec.key("home") is None:
@@ -230,7 +228,7 @@ class World(WorldView):
         return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
 
     def weighed(self) -> mujoco.MjModel:
-        """See `WorldView`: in a world to look at, a copy in which robots alone have masses."""
+        """Returns the model with masses: if not `dynamic`, a copy with those of robots only."""
         if self.dynamic:
             return self.model
         return weighed_model(self.model, self.robots, dynamics_of(self.scene))
@@ -268,8 +266,8 @@ class World(WorldView):
         return parts
 
     def _lower_floor(self) -> None:
-        data, seen = self._at_home(), np.flatnonzero(self.geoms_in_view())
-        low = lowest_height(self.model, data, seen) if len(seen) else 0.0
+        data, visible = self._at_home(), np.flatnonzero(self.geoms_in_view())
+        low = lowest_height(self.model, data, visible) if len(visible) else 0.0
         floor = self.model.geom("floor").id
         if low > -_ON_FLOOR:
             return
@@ -291,8 +289,8 @@ class World(WorldView):
             bodies = np.array(sorted({*part.bodies.tolist(), part.flange_body}), np.intp)
             names = [f"{part.scope}centre{i + 1}" for i in range(part.robot.n)]
             centres = np.array([self.model.site(each).id for each in names], np.intp)
-            seen = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
-            self.robots[name] = replace(part, sizes=measure(self.model, data, seen))
+            measured = MeasuredBodies(bodies, joints, np.zeros(0, np.intp), centres)
+            self.robots[name] = replace(part, sizes=measure(self.model, data, measured))
 
     def _free(self, base: int) -> Ints:
         joint, count = self.model.body_jntadr[base], int(self.model.body_jntnum[base])
@@ -303,10 +301,8 @@ class World(WorldView):
         return np.arange(count, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
 
     def _measure_without_doubles(self) -> None:
-        """Sets the model's extent, which scales near plane, far plane and shadows.
-
-        MuJoCo 4.0.0 computes twice the extent when mocap bodies coincide with the robot.
-        """
+        # MuJoCo 4.0.0 computes twice the extent if mocap bodies coincide with the robot. The extent
+        # scales near plane, far plane and shadows.
         model = self.model
         solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         solid &= model.geom_group != DOUBLE_GROUP
@@ -360,10 +356,7 @@ def _warn_of_lengths(scene: Scene) -> None:
 
 
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
-    """Masses, friction and elasticity of all robots of a scene, by name.
-
-    Raises DeclarationError with all their errors.
-    """
+    """Returns the dynamics of all robots of a scene; raises DeclarationError with all errors."""
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
     for name, robot in scene.robots.items():
@@ -375,6 +368,20 @@ def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
     if problems:
         raise DeclarationError(scene.located(problems))
     return found
+
+
+def world_without_meshes(robots: Iterable[SerialRobot]) -> World:
+    """Returns a dynamic world with the masses of all meshes, but without the meshes.
+
+    It compiles in a small part of the time. Raises DeclarationError if MuJoCo cannot compile it.
+    """
+    scene = Scene(robots=list(robots), floor=False)
+    bare = [
+        robot.model_copy(update={"filenames": [], "collisions": []})
+        for robot in scene.robots.values()
+    ]
+    known = dynamics_of(scene)
+    return World(Scene(robots=bare, floor=False), dynamic=True, dynamics=known)
 
 
 # Fields of a model with masses of bodies, and with frames relative to other elements.
@@ -415,5 +422,5 @@ def _mesh_problem(key: str, path: Path) -> Problem | None:
         root.compile()
     except (ValueError, OSError) as error:
         reason = str(error).splitlines()[0].removeprefix("Error: ")
-        return Problem(key, f"{path} is not a mesh that MuJoCo reads: {reason}")
+        return Problem(key, f"MuJoCo cannot read the mesh {path}: {reason}")
     return None

@@ -1,4 +1,4 @@
-"""`WorldView`: the interface of a world to decor, hosts and picking."""
+"""`WorldView`: the interface of a world to decor, windows, pages and picking."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import mujoco
 import numpy as np
 
 from ...base.errors import DeclarationError, UnknownName, problems_of
-from ...base.frames import Array, Bools, inverse
+from ...base.frames import Array, Bools, frame, inverse
 from ..declared.inputs import Input, inputs_of_group, share_out
 from ..declared.scene import Scene
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 
-SET_BY_SOURCE, SET_BY_PROGRAM = 1.0, 2.0  # flags of inputs: who has set them last; 0 for nobody
+SET_BY_SOURCE, SET_BY_PROGRAM = 1.0, 2.0  # flags of inputs; 0 for inputs that were never set
 
 
 class WorldView(Protocol):
@@ -26,11 +26,11 @@ class WorldView(Protocol):
     Attributes:
         owners: robots and doubles that have joints, by name, in the order of `joints`.
         slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
-        flags: index in `userdata` of the flag who has set an input last, by its name.
+        flags: index in `userdata` of the flag of each input: what has set it last.
         placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
             name.
-        has_sites: whether sites in the tables of joints, frames and arrows are sites of the model.
-        dynamic: whether its data have velocities and forces, of which those of contacts follow.
+        has_sites: whether the sites of joints, frames and arrows are sites of the model.
+        dynamic: whether velocities and contact forces of the data are meaningful.
     """
 
     scene: Scene
@@ -59,21 +59,17 @@ class WorldView(Protocol):
         """
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns the doubles that decor draws because they are not compiled into the model.
-
-        Args:
-            shown: which doubles are switched on, (D,).
-        """
+        """Returns those of the doubles `shown`, (D,), that are not compiled into the model."""
 
     def geoms_in_view(self) -> Bools:
         """Returns the geoms that a view of the whole scene includes, (ngeom,) bool."""
 
     def surroundings(self) -> mujoco.MjModel | None:
-        """Returns a model of the floor, sky and lights that hosts add; None for none."""
+        """Returns a model of the floor, sky and lights to add to the scene, or None."""
         return None
 
     def weighed(self) -> mujoco.MjModel:
-        """Returns the model with the masses of simulation: itself where it has them.
+        """Returns the model with the masses of simulation.
 
         Raises DeclarationError with errors of the robots' masses.
         """
@@ -82,36 +78,32 @@ class WorldView(Protocol):
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
         """Sets an input, `name.input` of `inputs`, to values of its shape, SI units.
 
-        Raises UnknownName for an unknown input, and ValueError for values that do not fit.
+        Raises UnknownName for an unknown input, and ValueError for invalid values.
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
-        """Sets inputs to the declared values of a robot, double, arrow or frame.
-
-        Args:
-            keys: its fields, which are inputs of the same names; those that are None are skipped.
-        """
+        """Sets inputs to the fields `keys` of a declaration, except for fields that are None."""
         for key in keys:
             if getattr(declared, key) is not None:
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Sets the pose (4, 4), m, in the world of one of `placed`."""
+        """Sets the pose T_world (4, 4), m, of one of `placed`."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]
         data.mocap_quat[self.placed[name]] = quat
 
     def shares(self, target: str, values: Any) -> dict[str, Any]:
-        """Returns values by input: a single one, or those of the robots of a group.
+        """Returns values by input: of one input, or of the inputs of all robots of a group.
 
         Args:
-            target: `name.input`, where the name may be that of a group, or of a double of one.
-            values: of one input unchanged; of a group those of all joints, or of the independent
-                ones, in the order of its robots. A switch applies to all.
+            target: `name.input`; the name may be that of a group, or of the double of a group.
+            values: for a group, one value per joint or independent joint, in the order of its
+                robots. A switch applies to all robots.
 
         Raises:
-            UnknownName: no robot of a group has such an input.
+            UnknownName: no robot of the group has such an input.
             ValueError: the number of values does not match the group.
         """
         name, _, key = target.partition(".")
@@ -126,11 +118,7 @@ class WorldView(Protocol):
         return {item.target: part for item, part in zip(items, parts, strict=True)}
 
     def resolve_input(self, target: str) -> Input:
-        """Returns the input that `name.key` names.
-
-        Raises:
-            UnknownName: no such name or input; lists the existing ones.
-        """
+        """Returns the input named `name.key`; raises UnknownName if there is none."""
         if target in self.inputs:
             item = self.inputs[target]
             if item.kind != "pose" or item.name in self.placed:
@@ -144,43 +132,28 @@ class WorldView(Protocol):
         raise UnknownName("robot", name, [*names, *self.scene.groups, *self.scene.double_groups])
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
-        """Returns T_base_flange (4, 4) of the compiled model at `data`, translation in m.
-
-        Raises:
-            UnknownName: no such robot.
-        """
+        """Returns T_base_flange (4, 4), m, of a robot in the compiled model at `data`."""
         if robot not in self.robots:
             raise UnknownName("robot", robot, self.robots)
         part = self.robots[robot]
         state = self.state(data)
         base, flange = (
-            _frame(state.xmat[body], state.xpos[body])
+            frame(state.xmat[body].reshape(3, 3), state.xpos[body])
             for body in (part.bodies[0], part.flange_body)
         )
         return np.asarray(inverse(base) @ flange)
 
     def frame(self, data: mujoco.MjData, name: str) -> Array:
-        """Returns T_world_name (4, 4) of a named frame (`lwr/flange`) at `data`, translation in m.
-
-        Raises:
-            UnknownName: no such frame.
-        """
+        """Returns T_world_name (4, 4), m, of a named frame (`lwr/flange`) at `data`."""
         state, site = self.state(data), self.frame_site(name)
-        return _frame(state.site_xmat[site], state.site_xpos[site])
+        return frame(state.site_xmat[site].reshape(3, 3), state.site_xpos[site])
 
     def frame_site(self, name: str) -> int:
-        """Returns the site of a frame named by our name, a joint, or a link's original name.
+        """Returns the site of a frame; its name may also be a joint, or a link of the robot file.
 
-        Raises:
-            UnknownName: no such frame.
+        Raises UnknownName if there is no such frame.
         """
         own = self.scene.frame_name(name)
         if own not in self.frames.names:
             raise UnknownName("frame", name, self.frames.names)
         return int(self.frames.site[self.frames.names.index(own)])
-
-
-def _frame(rotation: Array, position: Array) -> Array:
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = rotation.reshape(3, 3), position
-    return T

@@ -1,17 +1,17 @@
 """Denavit-Hartenberg kinematics in numpy, independent of MuJoCo; used to check its results.
 
-Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint i turns about z of frame i.
-Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint i turns about z of frame i-1.
+Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint axis i is z of frame i.
+Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint axis i is z of frame i-1.
 
 Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
-Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base; the joint
-joint angle q_i is added to theta_i (revolute) or to d_i (prismatic). In branching robots, i - 1 is
+Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base. The joint
+value q_i is added to theta_i (revolute) or to d_i (prismatic). In branching robots, i - 1 is
 the parent of joint i (see `joint_tree`).
 
 Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S inverts the signs of
 alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz
-unchanged: the mirror image of a table has these two negated, and its revolute joints turn the other
-way.
+unchanged. The mirror image of a table therefore has negative alpha and theta, and its revolute
+joints rotate in the opposite direction.
 """
 
 from __future__ import annotations
@@ -35,13 +35,8 @@ COLUMNS: tuple[Column, ...] = ("alpha", "a", "theta", "d")
 class DhTable(JointTree):
     """A Denavit-Hartenberg table of n joints.
 
-    Attributes:
-        alpha: link twists, (n,), rad.
-        a: link lengths, (n,), m.
-        theta: joint offsets, (n,), rad.
-        d: link offsets, (n,), m.
-
-    The others are those of `JointTree`.
+    The link twists alpha, link lengths a, joint offsets theta and link offsets d are (n,), rad and
+    m.
     """
 
     convention: Convention
@@ -62,12 +57,10 @@ class DhTable(JointTree):
         columns: tuple[str, ...] = COLUMNS,
         revolute: ArrayLike | None = None,
     ) -> DhTable:
-        """Builds a table from rows with the given column order.
+        """Builds a table from rows (n, 4) with the given column order; revolute unless declared.
 
-        Args:
-            columns: a permutation of alpha, a, theta, d. The paper's Fig. 7 shows alpha first
-                and d last and leaves the two between open; alpha, a, theta, d is our reading.
-            revolute: (n,) bool; all revolute when None.
+        The paper's Fig. 7 shows alpha first and d last, and leaves the two between them open. The
+        default order is our interpretation.
         """
         table = np.asarray(rows, dtype=np.float64).reshape(-1, 4)
         alpha, a, theta, d = (table[:, columns.index(name)].copy() for name in COLUMNS)

@@ -1,18 +1,17 @@
 """The Denavit-Hartenberg table of a serial chain of joint frames.
 
-Any two lines have a common normal, so every serial chain has such a table; its free parameters are
-chosen as usual. The axes of a chain, each a line: the base's z axis, the joints' axes, and the
-flange's z axis. For each two neighbours A and B the normal has a direction x, feet on both, a
-length a, and an angle alpha from A to B about x:
+Any two lines have a common normal, so every serial chain has such a table. The axes of a chain are
+the z axis of the base, the joint axes, and the z axis of the flange. The common normal of two
+successive axes A and B has a direction x, a foot on each axis, a length a, and an angle alpha from
+A to B about x. Free parameters are chosen as usual:
 
-- of x and its opposite, with a and alpha negated, the one closer to the previous x is chosen, so
-  that offsets of theta are from -90 to 90 degrees (thus the Panda's a = -0.0825);
-- parallel axes: the normal goes through the foot of the previous normal on A;
-- coincident axes: likewise, and x is the previous one.
+- Of x and its opposite, with negative a and alpha, the one closer to the previous x is chosen, so
+  that offsets of theta are from -90 to 90 degrees (hence a = -0.0825 for the Panda).
+- If axes are parallel, the normal contains the foot of the previous normal on A.
+- If axes coincide, the same holds, and x is the previous x.
 
-Two normals enclose the angle theta about, and the distance d along, their common axis. Craig's row
-i has alpha and a of the normal before joint i, the standard one those of the normal after it (see
-`robots.kinematics.dh` for the two).
+Two successive normals enclose the angle theta about their common axis, and are the distance d apart
+along it. Row i has alpha and a of the normal before joint i (Craig), or after it (standard).
 """
 
 from __future__ import annotations
@@ -41,8 +40,7 @@ class DhChain:
         rows: alpha, a, theta, d per joint, (n, 4), rad and m.
         base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
         flange_frame: T_n_flange (4, 4), from frame n of the table.
-        link_frames: T_i_link (n, 4, 4): every link's own frame in frame i of the table, for data
-            given in the links' own frames.
+        link_frames: T_i_link (n, 4, 4): the original frame of each link in frame i of the table.
     """
 
     convention: Literal["craig", "standard"]
@@ -54,8 +52,6 @@ class DhChain:
 
 @dataclass(frozen=True, eq=False)
 class _Normal:
-    """The common normal of two neighbouring axes."""
-
     x: Array
     foot_a: Array
     foot_b: Array
@@ -69,18 +65,17 @@ def dh_from_frames(
     flange_frame: Array | None = None,
     convention: Literal["craig", "standard"] = "craig",
 ) -> DhChain | None:
-    """Finds the table of a serial chain whose joints turn about, or slide along, z of their frames.
+    """Returns the table of a serial chain whose joint axes are z of their frames.
+
+    Returns None if frames of table and chain differ by more than 1e-9 m or rad in any of 200 poses.
+    This happens if axes deviate from parallel by about 1e-6 rad, because their normal is then far
+    away.
 
     Args:
-        joint_frames: T_{i-1,i} of every joint in the frame of the previous joint, the first in the
-            base's, at zero joint values, (n, 4, 4), m.
-        revolute: True for joints that turn, False for those that slide, (n,).
-        flange_frame: T_n_flange (4, 4) in the last joint's frame; identity when None.
-
-    Returns:
-        the table; None if its frames differ from the chain's by more than 1e-9 m or rad in any of
-        200 poses. That happens where axes deviate from parallel by some 1e-6 rad, since
-        their normal is then far away.
+        joint_frames: T_{i-1,i} of every joint in the frame of the previous joint or base, at zero
+            joint values, (n, 4, 4), m.
+        revolute: False for prismatic joints, (n,).
+        flange_frame: T_n_flange (4, 4) in the frame of the last joint; identity if None.
     """
     flange = np.eye(4) if flange_frame is None else flange_frame
     zero = np.zeros(len(joint_frames))
@@ -88,7 +83,7 @@ def dh_from_frames(
     make = _craig if convention == "craig" else _standard
     rows, T_base_0 = make(at_zero, at_zero[-1] @ flange)
     rows[np.abs(rows) < _ZERO] = 0.0
-    # Links keep their frames of the chain at zero joint values, even if the table is rounded.
+    # From the rounded table, so that link frames are exact at zero joint values.
     table = DhTable.from_rows(rows, convention, revolute=revolute)
     links = inverse(table.frames(zero, T_base_0)[1:]) @ at_zero[1:]
     chain = DhChain(convention, rows, T_base_0, links[-1] @ flange, links)
@@ -131,13 +126,9 @@ def _normals(axes: Array) -> list[_Normal]:
 
 
 def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> _Normal:
-    """The normal of two axes with directions z through points.
+    """Returns the common normal of axes A and B with directions z_a and z_b.
 
-    Args:
-        on_a: foot of the previous normal on A.
-        z_b: direction of axis B.
-        on_b: any point on B.
-        before: direction of the previous normal, perpendicular to A.
+    `on_a` is the foot of the previous normal, whose direction is `before`, and `on_b` any point.
     """
     across = np.cross(z_a, z_b)
     between = on_b - on_a

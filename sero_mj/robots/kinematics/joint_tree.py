@@ -31,12 +31,12 @@ class JointTree(ABC):
     """Kinematics of n joints.
 
     Attributes:
-        revolute: True for revolute joints, False for prismatic ones, (n,) bool.
-        sign: -1 for joints that turn against their z axis, those of a mirrored robot, else 1, (n,);
-            None for 1 throughout.
-        parents: index of each joint's parent frame, (n,): 0 for the base, i for joint i; None for a
-            serial robot, 0 to n - 1.
-        root: T_base_0, (4, 4): origin of the rows of joints on the base; None for the base.
+        revolute: False for prismatic joints, (n,).
+        sign: -1 for joints that rotate against their z axis, those of a mirrored robot, else 1,
+            (n,). None if all are 1.
+        parents: index of the parent frame of each joint, (n,): 0 for the base, i for link i. None
+            for a serial robot: 0 to n - 1.
+        root: T_base_0, (4, 4): frame of the first row of the table; None for the base frame.
     """
 
     revolute: Bools
@@ -54,11 +54,11 @@ class JointTree(ABC):
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances of neighbouring origins, with joints extended, (..., n), m."""
+        """Returns the distances between each origin and its parent's, (..., n), m."""
 
     @abstractmethod
     def mirrored(self) -> Self:
-        """Returns the mirror image at the base's xz plane: frames S T S, S = diag(1, -1, 1, 1)."""
+        """Returns the mirror image at the xz plane of the base: S T S, S = diag(1, -1, 1, 1)."""
 
     @property
     def turns_in_carrier(self) -> bool:
@@ -91,14 +91,11 @@ class JointTree(ABC):
 
     @property
     def depths(self) -> Ints:
-        """Number of joints that move every link, (n,)."""
+        """Number of joints between the base and each link, (n,)."""
         return np.asarray(self.moves[1:].sum(axis=1))
 
     def link_transforms(self, joint_angles: ArrayLike) -> Array:
-        """Returns T_p(i),i, (..., n, 4, 4), of joints on the base with `root`.
-
-        Raises ValueError if the last axis of the joint angles, (..., n), is not n long.
-        """
+        """Returns T_p(i),i, (..., n, 4, 4), including `root`, for joint angles (..., n)."""
         q = np.asarray(joint_angles, dtype=np.float64)
         if q.shape[-1:] != (len(self),):
             raise Problem(
@@ -115,7 +112,7 @@ class JointTree(ABC):
 
         Args:
             joint_angles: (..., n), rad or m.
-            base_frame: T_world_base (..., 4, 4); identity when None.
+            base_frame: T_world_base (..., 4, 4); identity if None.
         """
         links = self.link_transforms(joint_angles)
         base = np.eye(4) if base_frame is None else np.asarray(base_frame)
@@ -127,11 +124,7 @@ class JointTree(ABC):
         return T
 
     def frame(self, link: int, joint_angles: ArrayLike) -> Array:
-        """Returns the forward kinematics of one frame, a row of `frames`, (..., 4, 4).
-
-        Args:
-            link: index of the frame, 0 for the base; from the end when negative.
-        """
+        """Returns T_base_link of one frame, (..., 4, 4); link 0 is the base, -1 the last link."""
         links = self.link_transforms(joint_angles)
         joints = self.moves[link].nonzero()[0].tolist()
         if not joints:
@@ -143,20 +136,20 @@ class JointTree(ABC):
 
     @property
     def axis_frames(self) -> Array:
-        """Frames (n, 4, 4) of joint axes in those of their links; values increase along z."""
+        """Frames of joint axes in link frames, (n, 4, 4); joint values increase along z."""
         T = np.tile(np.eye(4), (len(self), 1, 1))
         if self.turns_in_carrier:
             T = inverse(self.link_transforms(np.zeros(len(self))))
             if self.root is not None:
                 T = np.where((self.carriers == 0)[:, None, None], T @ self.root, T)
-        # Joints of a mirrored robot turn opposite to z of their frames.
+        # Joints of a mirrored robot rotate against z of their frames.
         return np.asarray(np.where(self.signs[:, None, None] > 0, T, T @ _TURNED))
 
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
         """Returns a direction (..., n, 3) and a point (..., n, 3), m, of every joint axis.
 
-        They are in the coordinates of `frames`, a result of `frames()`. Joint values increase
-        about, or along, the direction.
+        `frames` is a result of `frames()`, and determines the coordinates. Joint values increase
+        about or along the direction.
         """
         own = frames[..., 1:, :, :]
         if self.turns_in_carrier:
@@ -178,9 +171,9 @@ class JointTree(ABC):
 
         Args:
             joint_angles: (..., n), rad or m.
-            base_frame: T_world_base (4, 4); identity when None.
-            flange_frame: T_link_flange (4, 4); identity when None.
-            link: index of the flange's parent frame.
+            base_frame: T_world_base (4, 4); identity if None.
+            flange_frame: T_link_flange (4, 4); identity if None.
+            link: index of the frame that carries the flange.
         """
         T = self.frames(joint_angles, base_frame)
         axis, point = self.joint_axes(T)
@@ -204,9 +197,7 @@ class JointFrames(JointTree):
 
     Attributes:
         fixed: F, frame of every link in its parent at joint value zero, (n, 4, 4), m; z is the
-            joint's axis.
-
-    The others are those of `JointTree`.
+            joint axis.
     """
 
     fixed: Array
@@ -247,8 +238,8 @@ class PlanarBase:
 
     Attributes:
         frame: T_world_base (4, 4) at zero, m.
-        axes: two right-handed directions of motion and the normal of the plane, in the base's
-            frame, (3, 3); x, y and z for the usual normal.
+        axes: two directions of motion and the normal of the plane, right-handed, in the base
+            frame, (3, 3).
     """
 
     frame: Array

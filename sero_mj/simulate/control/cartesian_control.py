@@ -1,4 +1,4 @@
-"""Cartesian impedance: the flange is a spring and a damper in six directions."""
+"""Cartesian impedance control of the flange, with a null space for redundant robots."""
 
 from __future__ import annotations
 
@@ -31,17 +31,16 @@ from .joint_control import damping_slider, design_damping, too_stiff, unstable_j
 from .robot_model import RobotModel
 from .robot_models import RobotModels
 
-# Least mobility J M^-1 J^T in any direction, as a share of its trace, with lengths in units in
-# which moving and turning have equal traces. What is below is raised to it (as for inverse
+# Minimum mobility J M^-1 J^T in any direction, as a share of its trace, in units of length in which
+# translation and rotation have equal traces. Lower values are raised to the minimum (as for inverse
 # kinematics: Nakamura and Hanafusa 1986, Inverse Kinematic Solutions With Singularity Robustness).
-# For the null space: of 20,000 random poses of an LWR, a Puma 560 and a Panda none with more than
-# 1 % of the best manipulability has a pivot of less than 8e-6, so that there nothing leaks.
+# Of 20,000 random poses of an LWR, a Puma 560 and a Panda, none with more than 1 % of the maximum
+# manipulability has a pivot below 8e-6, so the null space is exact there.
 _BLOCKED = 5e-6
-_LIMP = 1e-4  # for the damping, which is designed for poses some way around as well
-# Nm/rad; where the null space has less stiffness than that, it is damped as if it had that.
-_MIN_STIFFNESS = 1.0
-# Ends of sliders, N/m and Nm/rad.
-_MOST_TRANSLATION, _MOST_ROTATION, _MOST_NULLSPACE = 5000.0, 300.0, 200.0
+_LIMP = 1e-4  # for the damping, which must also suit the poses near the one of its design
+_MIN_STIFFNESS = 1.0  # Nm/rad; a null space with less stiffness is damped as if it had this one
+# Maxima of sliders, N/m and Nm/rad.
+_SLIDER_TRANSLATION, _SLIDER_ROTATION, _SLIDER_NULLSPACE = 5000.0, 300.0, 200.0
 
 
 def _stiffness(value: Any) -> Any:
@@ -53,21 +52,21 @@ def _stiffness(value: Any) -> Any:
         raise ValueError(f"found {shape}; expected 6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6")
     if np.abs(array - array.T).max() > 1e-9 * max(np.abs(array).max(), 1.0):
         raise ValueError("found a matrix that is not symmetric; expected a symmetric one")
-    least = float(np.linalg.eigvalsh(array).min())
-    if least < -1e-9 * max(np.abs(array).max(), 1.0):
-        raise Problem("", "found an eigenvalue of", found=least, expected="none below zero").error()
+    lowest = float(np.linalg.eigvalsh(array).min())
+    if lowest < -1e-9 * max(np.abs(array).max(), 1.0):
+        raise Problem("", "found an eigenvalue of", found=lowest, expected="none below 0").error()
     return array
 
 
 class CartesianImpedance(ControllerDeclaration):
-    """Springs and dampers pull the flange to a target pose, and the null space to a posture.
+    """Pulls the flange to a target pose, and the null space to a posture, by springs and dampers.
 
     Attributes:
         stiffness: six numbers, N/m along and Nm/rad about x, y and z, or a symmetric 6x6 matrix.
         damping: ratio; one number.
-        axes: whose x, y and z: the `world`'s, or the target `flange`'s.
-        nullspace_stiffness: Nm/rad per joint, towards the target's posture.
-        nullspace_damping: ratio per joint; without stiffness as for 1 Nm/rad.
+        axes: the axes of the stiffness: `world`, or those of the target pose (`flange`).
+        nullspace_stiffness: Nm/rad per joint, towards the posture of the target.
+        nullspace_damping: ratio per joint; without stiffness, the damping is that of 1 Nm/rad.
         damping_every: s between two designs of the damping matrices.
     """
 
@@ -85,27 +84,25 @@ class CartesianImpedance(ControllerDeclaration):
     damping_every: float = Field(0.1, gt=0, le=1)
 
     def softer(self) -> Self | None:
-        """Half as stiff."""
         return self.changed({"stiffness": self.stiffness / 2})
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """Stiffness of moving and of turning, damping ratio, and stiffness of the null space."""
         along, about = float(self.stiffness[0, 0]), float(self.stiffness[3, 3])
 
-        def words(fields: Mapping[str, Any]) -> str:
+        def describe(fields: Mapping[str, Any]) -> str:
             matrix = np.asarray(fields["stiffness"])
             return f"{matrix[0, 0]:.4g} N/m and {matrix[3, 3]:.4g} Nm/rad"
 
         return [
-            Slider("stiffness", along, _MOST_TRANSLATION, "%.0f N/m",
-                   lambda value: {"stiffness": np.diag([value] * 3 + [about] * 3)}, words),
-            Slider("of turning", about, _MOST_ROTATION, "%.0f Nm/rad",
-                   lambda value: {"stiffness": np.diag([along] * 3 + [value] * 3)}, words),
+            Slider("stiffness", along, _SLIDER_TRANSLATION, "%.0f N/m",
+                   lambda value: {"stiffness": np.diag([value] * 3 + [about] * 3)}, describe),
+            Slider("rotational", about, _SLIDER_ROTATION, "%.0f Nm/rad",
+                   lambda value: {"stiffness": np.diag([along] * 3 + [value] * 3)}, describe),
             damping_slider(self.damping, lambda value: value),
-            Slider("null space", float(self.nullspace_stiffness[0]), _MOST_NULLSPACE, "%.0f Nm/rad",
-                   lambda value: {"nullspace_stiffness": np.array([value])},
+            Slider("null space", float(self.nullspace_stiffness[0]), _SLIDER_NULLSPACE,
+                   "%.0f Nm/rad", lambda value: {"nullspace_stiffness": np.array([value])},
                    range_text("nullspace_stiffness", "Nm/rad"),
-                   "stiffness towards the posture, where it leaves the flange in place"),
+                   "stiffness towards the posture, without moving the flange"),
         ]  # fmt: skip
 
     def make(
@@ -126,31 +123,32 @@ class CartesianImpedance(ControllerDeclaration):
 class CartesianImpedanceController(Controller):
     """tau = J^T (f + D (dx_d - J dq) + wrench) + tau_null + g(q) + tau_target.
 
-    f is minus the slope of the energy V = 1/2 e^T K e (Hogan 1985, Impedance Control: An Approach
-    to Manipulation). e holds the way to the target and -2 times the vector part of the quaternion
-    of R_target^T R: the angle about an axis when it is small, and defined for all rotations
-    (Caccavale, Natale, Siciliano, Villani 1999, Six-DOF Impedance Control Based on Angle/Axis
-    Representations, IEEE Trans. Robotics and Automation 15). At half a turn the torque fades to
-    zero, as of any smooth potential on rotations.
+    f is the negative gradient of the energy V = 1/2 e^T K e (Hogan 1985, Impedance Control: An
+    Approach to Manipulation). e contains the vector to the target and -2 times the vector part of
+    the quaternion of R_target^T R. For small rotations the latter is the angle about an axis, and
+    it is defined for all rotations (Caccavale, Natale, Siciliano, Villani 1999, Six-DOF Impedance
+    Control Based on Angle/Axis Representations, IEEE Trans. Robotics and Automation 15). At 180
+    degrees the torque is zero, as for any smooth potential on rotations.
 
-    D is designed for K and the inertia that the flange feels, L = (J M^-1 J^T)^-1, and moves no
-    energy but out. So without null space the robot with a resting target is passive (Ott 2008,
+    D is designed for K and the inertia at the flange, L = (J M^-1 J^T)^-1, and only dissipates
+    energy. Without null space, the robot with a resting target is therefore passive (Ott 2008,
     Cartesian Impedance Control of Redundant and Flexible-Joint Robots).
 
-    The null space is a spring and a damper behind P = 1 - J^T L J M^-1, which lets through no
-    torque that would accelerate the flange (Khatib 1987, A Unified Approach for Motion and Force
-    Control of Robot Manipulators). Its damper P D P^T only takes energy. Its spring behind P is
-    not a potential: bounded, but not passive in the strict sense (Dietrich, Ott, Albu-Schäffer
-    2015, An overview of null space projections for redundant, torque-controlled robots, IJRR 34).
+    The null space has a spring and a damper behind the projection P = 1 - J^T L J M^-1, which
+    removes torques that would accelerate the flange (Khatib 1987, A Unified Approach for Motion and
+    Force Control of Robot Manipulators). Its damper P D P^T only dissipates energy. Its spring
+    behind P has no potential: its energy is bounded, but it is not strictly passive (Dietrich, Ott,
+    Albu-Schäffer 2015, An overview of null space projections for redundant, torque-controlled
+    robots, IJRR 34).
 
-    At singularities nothing is inverted but J M^-1 J^T, with its smallest pivots bounded: torques
-    stay bounded, the blocked direction goes limp, and becomes part of the null space.
+    Only J M^-1 J^T is inverted, and its smallest pivots are bounded. At singularities, torques are
+    therefore bounded, and the blocked direction has no stiffness and belongs to the null space.
 
     Args:
         stiffness: K, (6, 6) or (m, 6, 6), symmetric, N/m and Nm/rad.
-        damping: ratio; of many robots (m, 1).
+        damping: ratio, a number or (m, 1).
         timestep: s between two calls.
-        in_flange: whether K is in the axes of the target, else of the world.
+        in_flange: whether K is in the axes of the target, instead of the world.
         nullspace_stiffness: (n,) or (m, n), Nm/rad.
         damping_every: s.
     """
@@ -173,7 +171,7 @@ class CartesianImpedanceController(Controller):
         self._ratio, self._in_flange = damping, in_flange
         self._timestep = timestep
         self._every = max(round(damping_every / timestep), 1)
-        self._left = 0  # steps until the damping is designed anew
+        self._left = 0  # steps until the next design of the damping
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros((*model.rows, n))
         self._compliance: Array | None = None  # of elastic joints, see `hold_links`
@@ -210,24 +208,20 @@ class CartesianImpedanceController(Controller):
         )
 
     def _arrange(self, n: int, rows: tuple[int, ...]) -> None:
-        """Lays out what a step is computed with.
-
-        numpy takes longer to call, and to make arrays and views, than to compute. So sums of
-        products are products of matrices side by side, and all views are made once:
-
-            tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
-            wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]
-            tau    = [wrench tau_0 g] torque_gains                     with [J; 1; 1]
-
-        The last term of the wrench is per unit of length, see `_BLOCKED`, as are the Jacobian J and
-        the mobility J M^-1 J^T that it is found by. What MuJoCo computes for one robot only is
-        asked row by row.
-        """
+        # numpy calls, new arrays and new views take longer than the computation. Therefore sums of
+        # products are products of block matrices, and all views are made once:
+        #
+        #     tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
+        #     wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]
+        #     tau    = [wrench tau_0 g] torque_gains                     with [J; 1; 1]
+        #
+        # The last term of the wrench is per unit of length (see `_BLOCKED`), and so are the
+        # Jacobian J and the mobility J M^-1 J^T in it. MuJoCo functions are called row by row.
 
         def zeros(*shape: int) -> Array:
             return np.zeros((*rows, *shape))
 
-        # Products of a matrix with a vector, of a vector with a matrix, of two matrices.
+        # Products: matrix and vector, vector and matrix, two matrices.
         self._products = (np.matvec, np.vecmat, np.matmul) if rows else (dot, dot, dot)
         self._null_gains = zeros(n, 2 * n)
         self._null_terms = zeros(2 * n)
@@ -253,7 +247,7 @@ class CartesianImpedanceController(Controller):
         self._scaled_jacobian, self._jacobian_over_mass = zeros(6, n), zeros(6, n)
         self._mass_jacobian = self._jacobian_over_mass.mT
         self._mobility, self._solved = zeros(6, 6), zeros(6)
-        # From the way to the target and the quaternion to the flange to a force and a pure
+        # Maps the vector to the target and the quaternion to the flange to a force and a pure
         # quaternion.
         self._spring = zeros(7, 7)
         self._error, self._pull = zeros(7), zeros(7)
@@ -261,9 +255,9 @@ class CartesianImpedanceController(Controller):
         self._pull_of_way, pull_of_turn = self._pull[..., :3], self._pull[..., 3:]
         torque = zeros(4)  # a quaternion
         self._torque_vector: Array = torque[..., 1:]
-        self._back, self._turn = zeros(3, 3), zeros(3, 3)  # R_target_world, that to the flange
-        # For each row: the least pivot of its mobility, and views for the calls of MuJoCo.
-        self._least_pivots: list[float] = []
+        self._back, self._turn = zeros(3, 3), zeros(3, 3)  # R_target_world, R_target_flange
+        # For each row: the minimum pivot of its mobility, and views for MuJoCo functions.
+        self._min_pivots: list[float] = []
         mobilities = self._mobility.reshape(-1, 6, 6)
         self._solved_rows = list(zip(mobilities, self._solved.reshape(-1, 6), strict=True))
         self._taken_rows = list(zip(mobilities, taken.reshape(-1, 6), strict=True))
@@ -274,10 +268,8 @@ class CartesianImpedanceController(Controller):
         )
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `Controller`; the null space's soft spring stays in series with the joints.
-
-        So does a share of the flange's, where they are nearly as stiff as the joints behind it.
-        """
+        # The soft spring of the null space remains in series with the joints, and so does a part of
+        # the stiffness of the flange if it is close to that of the joints.
         self._compliance = 1.0 / joint_stiffness
         return self._rest
 
@@ -297,8 +289,8 @@ class CartesianImpedanceController(Controller):
 
         # tau_0 = K_0 (q_0 - q) - D_0 P^T dq, and P tau_0 = tau_0 - J^T L J M^-1 tau_0
         times(J, velocities, solved)
-        for (mobility, row), least in zip(self._solved_rows, self._least_pivots, strict=True):
-            mju_cholFactor(mobility, least)  # L = (J M^-1 J^T)^-1 is only ever solved with
+        for (mobility, row), lowest in zip(self._solved_rows, self._min_pivots, strict=True):
+            mju_cholFactor(mobility, lowest)  # L = (J M^-1 J^T)^-1 is not computed
             mju_cholSolve(row, mobility, row)
         subtract(target.posture, sensed.motor_angles, self._posture_error)
         from_left(solved, J_over_M, null_velocities)
@@ -321,13 +313,11 @@ class CartesianImpedanceController(Controller):
             self._rest += self._gravity
 
     def spring_wrench(self, target: Target) -> Array:
-        """f, (6,), N and Nm in world axes, where the model was last updated to.
+        """Returns f, (6,), N and Nm in world axes, for the last update of the model.
 
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
-        (w + S(v)) f_r: the slope of v along rotations, and the vector of (w, v) times (0, f_r).
-
-        Returns:
-            the same array every time.
+        (w + S(v)) f_r: the derivative of v with respect to rotations, and the vector part of the
+        product of (w, v) and (0, f_r). The array is overwritten by the next call.
         """
         model, back, way = self.model, self._back, self._way
         force, moment = self._force, self._moment
@@ -361,8 +351,8 @@ class CartesianImpedanceController(Controller):
         share = float(self._share.min())
         if share < 1.0:
             message = (
-                f"is more than {100 * SOFTEST:g} % of what the elastic joints have at the flange; "
-                f"expected at most {99 * share:.2g} % of it"
+                f"is above {100 * SOFTEST:g} % of the stiffness of the elastic joints at the "
+                f"flange; expected at most {99 * share:.2g} % of this stiffness"
             )
             raise Problem("stiffness", message).error()
         back = np.linalg.solve(mass, jacobian.T)
@@ -377,22 +367,16 @@ class CartesianImpedanceController(Controller):
             raise too_stiff(model.joint_names[joint], "", self._timestep)
 
     def _in_world(self, rotation: Array) -> Array:
-        """K in the world's axes, (6, 6)."""
         if not self._in_flange:
             return self.stiffness
         axes: Array = np.zeros(self.stiffness.shape)
         axes[..., :3, :3] = axes[..., 3:, 3:] = rotation
         return np.asarray(axes @ self.stiffness @ axes.mT)
 
-    def _inertia(self, mobility: Array, least: float) -> Array:
-        """L, (6, 6): what the flange feels, its mobility being raised to a least one.
-
-        Args:
-            mobility: J M^-1 J^T, (6, 6).
-        """
+    def _inertia(self, mobility: Array, lowest: float) -> Array:
         per_length = self._per_length * self._per_length.mT
         values, vectors = np.linalg.eigh(mobility * per_length)
-        bounded = np.maximum(values, least * values.sum(axis=-1, keepdims=True))
+        bounded = np.maximum(values, lowest * values.sum(axis=-1, keepdims=True))
         return np.asarray((vectors / bounded[..., None, :]) @ vectors.mT * per_length)
 
     def _design(self, rotation: Array) -> None:
@@ -400,13 +384,13 @@ class CartesianImpedanceController(Controller):
         mobility = jacobian @ np.linalg.solve(mass, jacobian.mT)
         of_axes = np.diagonal(mobility, axis1=-2, axis2=-1)
         of_moving, of_turning = of_axes[..., :3].sum(axis=-1), of_axes[..., 3:].sum(axis=-1)
-        # A robot may do one of them only.
+        # Some robots only translate, or only rotate.
         does_both = (of_moving > 0) & (of_turning > 0)
         ratio = np.divide(of_turning, of_moving, out=np.ones(does_both.shape), where=does_both)
         self._per_length[..., :3, 0] = np.sqrt(ratio)[..., None]
         self._wrench_gains[..., 12:] = -self._per_length * np.eye(6)
-        least = _BLOCKED * np.maximum(2.0 * of_turning, of_moving)
-        self._least_pivots = np.atleast_1d(least).tolist()
+        lowest = _BLOCKED * np.maximum(2.0 * of_turning, of_moving)
+        self._min_pivots = np.atleast_1d(lowest).tolist()
         felt = self._inertia(mobility, _LIMP)
         self.damping[...] = design_damping(felt, self._in_world(rotation), self._ratio)
         stiffness = np.maximum(self._null_stiffness, _MIN_STIFFNESS)
@@ -415,5 +399,5 @@ class CartesianImpedanceController(Controller):
         self._null_gains[..., n:] = -self._null_damping[..., None] * np.eye(n)
         if self._compliance is not None:
             root = jacobian * np.sqrt(self._compliance)
-            most = np.linalg.eigvalsh(root.mT @ self._in_world(rotation) @ root)[..., -1:]
-            self._share[...] = SOFTEST / np.maximum(most, SOFTEST)
+            largest = np.linalg.eigvalsh(root.mT @ self._in_world(rotation) @ root)[..., -1:]
+            self._share[...] = SOFTEST / np.maximum(largest, SOFTEST)

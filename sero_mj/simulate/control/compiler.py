@@ -1,4 +1,4 @@
-"""`Compiler`: a cache of compiled worlds, for runs that simulate the same robots."""
+"""`Compiler`: a cache of compiled worlds and robot models."""
 
 from __future__ import annotations
 
@@ -18,16 +18,15 @@ from .robot_model import RobotModel
 
 T = TypeVar("T")
 
-# How many are remembered; a sweep over masses has new ones every time. What controllers know of a
-# robot is small, and of each robot of the largest scene it is asked for in every run.
+# Sizes of the caches. A sweep over masses compiles new worlds in every run. Robot models are small,
+# and every run needs those of all robots of its scene.
 _MAX_WORLDS, _MAX_ROBOTS = 8, MOST_ENTRIES["robots"]
 
 
 class Compiler:
-    """Compiles dynamic worlds, and copies those that it has compiled before.
+    """Compiles dynamic worlds and robot models, and returns copies of those in its cache.
 
-    Two scenes are the same when everything that is declared of robots, objects and floor is;
-    mesh files are taken not to change while it lives.
+    The key is the declaration of robots, objects and floor. Changes of mesh files are not detected.
     """
 
     def __init__(self) -> None:
@@ -35,14 +34,9 @@ class Compiler:
         self._models: dict[object, RobotModel] = {}
 
     def world(self, scene: Scene, gravity: Array = EARTH) -> World:
-        """A dynamic world with a model of its own, which may be changed.
+        """Returns a dynamic world whose model may be changed.
 
-        Args:
-            scene: of which robots, objects and floor are looked at, and nothing else.
-            gravity: (3,), m/s2, in the world.
-
-        Raises:
-            DeclarationError: what MuJoCo cannot compile.
+        Raises DeclarationError if MuJoCo cannot compile the scene.
         """
         key = fingerprint([scene.robots, scene.objects, scene.floor])
         made = _find(self._worlds, key, lambda: World(scene, dynamic=True), _MAX_WORLDS)
@@ -53,13 +47,9 @@ class Compiler:
         return world
 
     def robot_model(self, robot: SerialRobot, gravity: Array = EARTH) -> RobotModel:
-        """What a controller knows of a robot, for it alone.
+        """Returns an independent model of a robot.
 
-        Args:
-            gravity: (3,), m/s2, in the world.
-
-        Raises:
-            DeclarationError: MuJoCo cannot compile the robot.
+        Raises DeclarationError if MuJoCo cannot compile the robot.
         """
         key = fingerprint(robot)
         model = copy.copy(_find(self._models, key, lambda: RobotModel.of(robot), _MAX_ROBOTS))
@@ -67,14 +57,13 @@ class Compiler:
         return model
 
 
-def _find(known: dict[object, T], key: object, make: Callable[[], T], most: int) -> T:
-    """Returns what is known, or makes it and forgets what was asked for longest ago."""
-    found = known.pop(key, None)
+def _find(cache: dict[object, T], key: object, make: Callable[[], T], max_size: int) -> T:
+    found = cache.pop(key, None)
     if found is None:
         found = make()
-        if len(known) >= most:
-            known.pop(next(iter(known)))
-    known[key] = found  # what was asked for last stands last
+        if len(cache) >= max_size:
+            cache.pop(next(iter(cache)))  # the least recently used
+    cache[key] = found
     return found
 
 

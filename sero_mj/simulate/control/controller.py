@@ -1,6 +1,6 @@
-"""What controllers share: what they get, the method that computes torques, and their gains.
+"""Base classes of controllers and of their declarations, and their inputs.
 
-A package adds a kind by an entry point in the group `sero_mj.controllers`:
+A package adds a kind of controller by an entry point in the group `sero_mj.controllers`:
 
     [project.entry-points."sero_mj.controllers"]
     pd = "my_package:PD"
@@ -39,7 +39,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for arrays of numbers."""
+    """Returns a validator of a range, in `unit`; `note` is appended to its error."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -55,36 +55,35 @@ PerJoint = Annotated[Array, BeforeValidator(_one_or_more)]
 MaybePerJoint = Annotated[Array | None, BeforeValidator(_one_or_more)]
 Ratio = Annotated[PerJoint, within(0.0, 2.0, "(a ratio; 1 is critical damping)")]
 DEFAULT_RATIO: Array = np.array([0.7])
-# Of the stiffness of elastic joints: what a spring before them may have. `StaticDeflection` is a
-# contraction by this factor in every step.
+# Maximum stiffness of a controller, as a share of the stiffness of elastic joints.
+# `StaticDeflection` is a contraction by this factor in every step.
 SOFTEST = 0.8
 
 
 class Sensed:
-    """What the sensors of one robot measure; the buffers are the same ones at every step.
+    """The measurements of the sensors of one robot, in arrays that are updated in place.
 
     Args:
-        values: (3, n), row after row in memory, to be used in place: what a simulation or a
-            receiver writes is then seen without a copy.
-        motor_state: (2n,), angles, then velocities of the motors where joints are elastic, to be
-            used in place; those of the links when None.
-        rows: () for one robot; (m,) for m of them, which are then the first axis of all.
+        values: (3, n), C-contiguous float64; used without a copy.
+        motor_state: of elastic joints, (2n,); used without a copy. None for rigid joints, whose
+            motor state is that of the links.
+        rows: () for one robot; (m,) for m robots, which are then the first axis of all arrays.
 
     Attributes:
-        time: s since the start.
-        values: (3, n): angles, velocities, torques; the others are views of it.
-        state: (2n,), angles, then velocities, so that one operation takes both.
+        time: since the start, s.
+        values: angles, velocities and torques, (3, n); the next four are views of it.
+        state: angles, then velocities, (2n,).
         angles: (n,), rad or m.
         velocities: (n,), per second.
-        torques: (n,), Nm or N, as the sensors on the link side of the gears read them.
-        motor_state: (2n,), angles, then velocities of the motors, on the link's side of the gear.
-            Springs and dampers act on these: with those of the links the control would not be
-            passive, because the elastic joint is between them and the motors (Ott 2008).
-        motor_angles: (n,), the first half of it.
-        motor_velocities: (n,), the second.
+        torques: measured on the link side of the gears, (n,), Nm or N.
+        motor_state: angles, then velocities of the motors, (2n,), on the link side of the gears.
+            Springs and dampers must act on these: with those of the links, the control would not
+            be passive, because the elastic joint is between the links and the motors (Ott 2008).
+        motor_angles: a view of `motor_state`, (n,).
+        motor_velocities: a view of `motor_state`, (n,).
 
     Raises:
-        ValueError: the values are not (3, n), float64 and row after row.
+        ValueError: `values` has another shape, type or memory layout.
     """
 
     __slots__ = (
@@ -123,24 +122,23 @@ class Sensed:
 
 
 class Target:
-    """The target of one robot; a controller reads what it needs and ignores the rest.
+    """The target of one robot; controllers read what they need and ignore the rest.
 
-    Write into the arrays (`target.angles[:] = ...`): controllers keep them.
+    Write to the arrays in place (`target.angles[:] = ...`).
 
     Attributes:
-        motion: (3, n), angles, velocities and accelerations.
-        angles: (n,), rad or m; a view of `motion`, as are the two that follow.
+        motion: angles, velocities and accelerations, (3, n); the next three are views of it.
+        angles: (n,), rad or m.
         velocities: (n,), per second.
         accelerations: (n,), per second squared.
-        torques: (n,), Nm or N, added to what the controller computes.
-        has_torques: whether `torques` and `wrench` are added; false, and faster, where both are
-            zero all the time.
-        pose: (4, 4), T_world_flange, m.
-        position: (3,), a view of it.
-        rotation: (3, 3), a view of it.
-        twist: (6,), of the flange in world axes: m/s, then rad/s.
-        wrench: (6,), at the flange in world axes, that the robot is to exert: N, then Nm.
-        posture: (n,), rad or m, where the null space is drawn to.
+        torques: (n,), Nm or N, added to the torques of the controller.
+        has_torques: whether `torques` and `wrench` are added. False is faster if both are zero.
+        pose: T_world_flange, (4, 4), m; the next two are views of it.
+        position: (3,), m.
+        rotation: (3, 3).
+        twist: of the flange in world axes, (6,): m/s, then rad/s.
+        wrench: exerted by the robot at the flange, in world axes, (6,): N, then Nm.
+        posture: target angles of the null space, (n,), rad or m.
     """
 
     def __init__(self, n: int, rows: tuple[int, ...] = ()) -> None:
@@ -160,7 +158,10 @@ class Target:
         self.rotation: Array = pose[..., :3, :3]
 
     def part(self, row: int, joints: slice) -> Target:
-        """The target of one of the robots in a row: views, but for the pose if there are others."""
+        """Returns the target of one robot of a row.
+
+        Its arrays are views, except for pose, twist and wrench if the row has other robots.
+        """
         made = Target(joints.stop - joints.start)
         pose = made.pose
         if made.posture.shape == self.posture.shape[1:]:
@@ -171,33 +172,31 @@ class Target:
         return made
 
     def set(self, other: Target) -> None:
-        """Takes over the values of another target of as many joints."""
+        """Copies the values of a target with the same number of joints."""
         for key in ("motion", "torques", "posture", "pose", "twist", "wrench"):
             getattr(self, key)[...] = getattr(other, key)
 
 
 class Controller:
-    """Computes torques. Any object with the method `torques` is a controller as well.
+    """Base of controllers. Any object with the method `torques` is a controller, too.
 
-    ```python
-    class Wave:
-        def torques(self, sensed, target, out):
-            out[:] = 5.0 * np.sin(sensed.time)
-    ```
+    For example::
 
-    The other methods and attributes are optional powers, with what holds where they are missing.
+        class Wave:
+            def torques(self, sensed, target, out):
+                out[:] = 5.0 * np.sin(sensed.time)
+
+    All other methods and attributes are optional and have the defaults of this class.
+    `ControllerDeclaration` describes the first three.
 
     Attributes:
-        needs_target: see `ControllerDeclaration`, as the two that follow.
-        needs_pose: whether it follows the flange's pose.
-        may_be_asked: whether it may be asked for torques of states that are not those of a run.
-        logged: numbers for the log, as many as its declaration has names in `logged`.
-        spans_robots: whether `joined` takes several robots of a row.
+        logged: values of the columns that `ControllerDeclaration.logged` names.
+        spans_robots: whether `joined` supports several robots per row.
     """
 
     needs_target: bool = True
     needs_pose: bool = False
-    may_be_asked: bool = True
+    may_be_probed: bool = True
     is_in_real_time: bool = False
     origin: FileOrigin | None = None
     logged: Any = ()
@@ -205,67 +204,50 @@ class Controller:
 
     @property
     def commanded_angles(self) -> Array | None:
-        """(n,) for the log as the robot's target, rad or m; None for none."""
+        """Angles that the log stores as the target of the robot, (n,), rad or m, or None."""
         return None
 
     @property
     def group(self) -> tuple[object, ...] | None:
-        """What controllers have in common that `joined` can make one of; None if called alone."""
+        """Key that controllers share if `joined` supports them; None if it does not."""
         return None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the motor torques of this step.
+        """Writes the motor torques of this step to `out`, (n,), Nm or N.
 
-        Args:
-            sensed: what the sensors say; not to be changed.
-            target: what is asked for; not to be changed.
-            out: (n,), Nm or N, to be written; holds the last step's.
+        `out` contains the torques of the last step. `sensed` and `target` must not be changed.
         """
         raise NotImplementedError
 
     def hold_links(self, joint_stiffness: Array) -> Array | None:
-        """Prepares for elastic joints, once.
+        """Prepares the controller for elastic joints of a stiffness, (n,), Nm/rad or N/m.
 
-        Args:
-            joint_stiffness: (n,), Nm/rad or N/m.
-
-        Returns:
-            (n,), Nm or N: what it commands at rest, written at every step; from this the resting
-            positions of the links are found. None if they are those of gravity.
+        Returns an array (n,), Nm or N, to which the controller writes in every step the torques
+        that it commands at rest; `StaticDeflection` computes the resting angles of the links from
+        it. Returns None if these torques are those of gravity.
         """
         return None
 
     def check(self, angles: Array) -> None:
-        """Refuses gains for which the time step is too long.
-
-        Args:
-            angles: (n,), rad or m, where the robot starts.
-
-        Raises:
-            DeclarationError: names the joint that would shake most.
-        """
+        """Raises DeclarationError if the gains are unstable at the initial angles, (n,)."""
 
     def take_over(self, before: Any) -> None:
-        """Takes over what the controller before, of the same class, has built up: an integral."""
+        """Copies the state, such as an integral, of the previous controller of the same class."""
 
     def begin(self, which: Bools) -> None:
-        """Begins anew with some of the rows, (m,)."""
+        """Resets some of the rows, (m,)."""
 
     def close(self) -> None:
-        """Ends what it has started."""
+        """Ends programs and connections that the controller has started."""
 
     @classmethod
     def joined(cls, each: Sequence[Any], robots: int, model: RobotModels) -> Controller:
-        """One controller that is the same as several of one `group`, which have made no step.
-
-        Args:
-            each: of the robots of the first row, of the second, and so on.
-        """
+        """Joins controllers of one `group` that have made no step, row by row."""
         raise NotImplementedError
 
 
 class PlainController:
-    """Any object with the method `torques`, with the defaults of `Controller` for what it lacks."""
+    """Adds the defaults of `Controller` to any object with the method `torques`."""
 
     group = None  # a third-party object is called alone
 
@@ -281,7 +263,7 @@ _DEFAULTS = Controller()
 
 
 def as_controller(controller: Any) -> Any:
-    """The controller or declaration itself, or a `PlainController` of any other object."""
+    """Returns a controller or declaration unchanged, and a `PlainController` of other objects."""
     if isinstance(controller, Controller | ControllerDeclaration):
         return controller
     return PlainController(controller)
@@ -292,28 +274,27 @@ class Slider:
     """A gain that can be changed while a robot is controlled.
 
     Attributes:
-        label: what a user reads.
-        value: of now.
-        most: the greatest; the least is 0.
-        text: printf's format of the value, `%.1f Nm s/rad`.
-        fields: returns the declaration's fields that have another value then.
-        words: writes these fields for a message.
-        tip: what it is, where the label does not say it.
-        group: label of the folded group that it stands in; empty for none.
+        value: current value.
+        maximum: the minimum is 0.
+        text: printf format of the value, for example `%.1f Nm s/rad`.
+        fields: returns the changed fields of the declaration for a value.
+        describe: formats these fields for a message.
+        tip: tooltip.
+        group: label of the collapsible group that contains the slider; empty for none.
     """
 
     label: str
     value: float
-    most: float
+    maximum: float
     text: str
     fields: Callable[[float], dict[str, Any]]
-    words: Callable[[Mapping[str, Any]], str]
+    describe: Callable[[Mapping[str, Any]], str]
     tip: str = ""
     group: str = ""
 
 
 def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
-    """Returns what writes the smallest to the largest number of a field, with their unit."""
+    """Returns a function that formats the range of the numbers of a field."""
 
     def text(fields: Mapping[str, Any]) -> str:
         array = np.atleast_1d(fields[key])
@@ -327,29 +308,28 @@ def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
 class ControllerDeclaration(Declaration, ABC):
     """Base of the declarations of controllers, one class for each kind.
 
-    A kind is an entry point in the group `sero_mj.controllers`; its class has a field `kind`, a
-    `Literal` of that name, and its gains. Numbers per joint may be one for all.
+    A kind is an entry point in the group `sero_mj.controllers`. Its class has a field `kind`, a
+    `Literal` of that name, and fields for its gains. A field with a number per joint accepts one
+    number for all joints.
 
     Attributes:
-        torque_limits: (n,), Nm or N, where they are below those of the robot.
-        torque_rate_limits: (n,), Nm/s or N/s; None for none.
-        needs_target: whether it holds a pose, so that a robot without a target stays where it is.
-        needs_pose: whether it follows the flange's pose, and not only joint angles.
-        protocol_joints: number of joints that its protocol is for; None for any number.
-        may_be_asked: whether it may be asked for torques of states that are not those of a run, as
-            is done to find its gains.
-        logged: names of numbers of its own that the log keeps; what it makes has them as `logged`,
-            an array. Where that has `commanded_angles` as well, (n,) or None, the log keeps these
-            as the robot's target.
-        title: what a user reads who chooses among controllers; its `kind` when empty.
-        short: another name for it on the command line; none when empty.
-        order: among those that can be chosen, lowest first; sero-mj's own have 10 to 90.
+        torque_limits: Nm or N per joint, at most those of the robot.
+        torque_rate_limits: Nm/s or N/s per joint (default: no limit).
+        needs_target: whether it follows a target; the default target is the initial pose.
+        needs_pose: whether it follows the pose of the flange in addition to joint angles.
+        protocol_joints: number of joints that its protocol requires; None for any number.
+        may_be_probed: whether its torques may be computed for states outside of a run, which
+            determines its gains.
+        logged: names of its own columns in the log, with values from `Controller.logged`.
+        title: name in the list of controllers; `kind` if empty.
+        short: alternative name on the command line; empty for none.
+        order: position in the list of controllers; built-in controllers have 10 to 90.
     """
 
     needs_target: ClassVar[bool] = True
     needs_pose: ClassVar[bool] = False
     protocol_joints: ClassVar[int | None] = None
-    may_be_asked: ClassVar[bool] = True
+    may_be_probed: ClassVar[bool] = True
     logged: ClassVar[tuple[str, ...]] = ()
     title: ClassVar[str] = ""
     short: ClassVar[str] = ""
@@ -362,85 +342,72 @@ class ControllerDeclaration(Declaration, ABC):
 
     @property
     def is_in_real_time(self) -> bool:
-        """Whether the run waits for the wall clock."""
+        """Whether the controller needs a run in real time."""
         return False
 
     @property
     def origin(self) -> FileOrigin | None:
-        """The file that it was read from; None if it was made in Python."""
+        """The file of the declaration; None if it was made in Python."""
         return self._origin
 
     def set_origin(self, origin: FileOrigin) -> None:
-        """Says which file it was read from, and whether that file is trusted."""
+        """Sets the file of the declaration, and whether that file is trusted."""
         self._origin = origin
 
     def actions(self, key: str = "") -> list[RequestedAction]:
-        """Returns what it starts or loads, see `base.trust`; nothing by default.
+        """Returns the programs and libraries that the controller would run (see `base.trust`).
 
-        A kind that starts a program or loads code has to override this.
+        A kind that starts a program or loads code must override this.
         """
         return []
 
     def check_files(self) -> None:
-        """Checks that the files that it names exist, without opening them.
-
-        Raises:
-            DeclarationError: one does not exist.
-        """
+        """Raises DeclarationError if a file that the declaration names does not exist."""
 
     @abstractmethod
     def make(self, model: RobotModel, timestep: float) -> Controller:
-        """The controller, without torque limits.
+        """Makes the controller, without torque limits.
 
         Args:
-            model: what it knows of its robot; it has it for itself.
+            model: the controller's own model of the robot; not shared.
             timestep: s between two calls.
 
         Raises:
-            DeclarationError: gains that do not fit the robot's joints.
+            DeclarationError: the gains do not fit the joints of the robot.
         """
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """The controller that a robot to play with has at first.
+        """Returns the initial controller of a robot in live control, with default gains.
 
-        Returns:
-            one with default gains; None where it cannot be chosen there, as where gains have no
-            defaults.
+        Returns None if users cannot choose this kind there, for example because gains have no
+        defaults.
         """
         needed = any(field.is_required() for field in cls.model_fields.values())
         return None if needed else cls()
 
     def softer(self) -> Self | None:
-        """One that a longer time step holds; None where nothing can be done about that."""
+        """Returns a declaration that is stable with a longer time step, or None."""
         return None
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """The gains that can be changed while it runs."""
+        """Returns sliders for the gains, scaled by those of the initial declaration `first`."""
         return []
 
     def changed(self, fields: Mapping[str, Any]) -> Self:
-        """A declaration with other gains.
-
-        Raises:
-            DeclarationError: what they cannot be.
-        """
+        """Returns a copy with other gains; raises DeclarationError if they are not valid."""
         declared = {key: getattr(self, key) for key in self.model_fields_set}
         changed = type(self)(**{**declared, **fields})
         changed._origin = self._origin
         return changed
 
     def per_joint(self, key: str, n: int) -> Array:
-        """A field as (n,) numbers.
-
-        Raises:
-            DeclarationError: it has neither one nor n.
-        """
+        """Returns a field as an array (n,); raises DeclarationError as `per_joint`."""
         return per_joint(key, np.asarray(getattr(self, key)), n)
 
 
 def per_joint(key: str, value: Array, n: int) -> Array:
-    """One number for all joints or n of them as (n,) numbers; raises DeclarationError."""
+    """Expands one number, or n, to (n,); raises DeclarationError for another number of entries."""
     if len(value) not in (1, n):
         raise Problem(
             key, found=len(value), of="entries", expected=f"{n}, one per joint, or one for all"

@@ -1,7 +1,7 @@
-"""Joint-space controllers (gravity compensation, torque, impedance, position) and their damping.
+"""Joint-space controllers: gravity compensation, torque, impedance and position.
 
-They control one robot, or all robots of a `RobotModels`, whose rows are the first axis of all
-arrays then.
+They control one robot, or all robots of a `RobotModels`, whose rows are then the first axis of all
+arrays.
 """
 
 from __future__ import annotations
@@ -33,15 +33,15 @@ from .robot_models import RobotModels
 
 MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
 _PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`
-# Ends of sliders: Nm s/rad, of ratios, and of a stiffness at first.
-_MOST_DAMPING, _MOST_RATIO, _MOST_OF_FIRST = 50.0, 2.0, 6.0
+# Maxima of sliders: Nm s/rad, a ratio, and a factor of the initial stiffness.
+_SLIDER_DAMPING, _SLIDER_RATIO, _SLIDER_STIFFNESS = 50.0, 2.0, 6.0
 
 
 class GravityCompensation(ControllerDeclaration):
-    """Compensates gravity: the robot can be moved by hand.
+    """Compensates gravity, so that the robot can be moved by hand.
 
     Attributes:
-        damping: Nm s/rad or N s/m per joint, against motion.
+        damping: Nm s/rad or N s/m per joint.
     """
 
     needs_target: ClassVar[bool] = False
@@ -53,10 +53,9 @@ class GravityCompensation(ControllerDeclaration):
     damping: Annotated[PerJoint, within(0.0, 1e4, "Nm s/rad")] = np.zeros(1)
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """Damping of all joints."""
         damping = float(self.damping[0])
         return [
-            Slider("damping", damping, _MOST_DAMPING, "%.1f Nm s/rad",
+            Slider("damping", damping, _SLIDER_DAMPING, "%.1f Nm s/rad",
                    lambda value: {"damping": np.array([value])}, range_text("damping", "Nm s/rad"))
         ]  # fmt: skip
 
@@ -65,11 +64,11 @@ class GravityCompensation(ControllerDeclaration):
 
 
 class Torque(ControllerDeclaration):
-    """Constant torques on top of gravity compensation.
+    """Commands constant torques in addition to gravity compensation.
 
     Attributes:
-        torques: Nm per joint, all the time; what a target brings comes on top.
-        compensate_gravity: whether gravity is added.
+        torques: Nm per joint; the torques of the target are added.
+        compensate_gravity: whether gravity torques are added.
     """
 
     needs_target: ClassVar[bool] = False
@@ -81,7 +80,7 @@ class Torque(ControllerDeclaration):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """None: it has nothing to play with."""
+        """Returns None: there is nothing to adjust in live control."""
         return None
 
     def make(self, model: RobotModel | RobotModels, timestep: float) -> GravityCompensator:
@@ -92,14 +91,14 @@ class Torque(ControllerDeclaration):
 
 
 class JointImpedance(ControllerDeclaration):
-    """Every joint is a spring and a damper about the target's angles.
+    """Makes every joint a spring and a damper about its target angle.
 
     Attributes:
-        at_links: whether the stiffness is what one feels at the links of elastic joints, behind a
-            torque loop; else it is that of their motors.
+        at_links: whether the stiffness of elastic joints behind a torque loop acts at the links,
+            instead of the motors.
         stiffness: Nm/rad per joint, 0 to 5000 as on the KUKA LWR.
-        damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 not at all.
-        feed_forward: whether the torques that the target's motion takes are added.
+        damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 does not overshoot.
+        feed_forward: whether the torques for the motion of the target are added.
         damping_every: s between two designs of the damping matrix.
     """
 
@@ -119,9 +118,9 @@ class JointImpedance(ControllerDeclaration):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """Springs that reach a joint's torque limit 0.2 rad (m) off.
+        """Chooses a stiffness that reaches the torque limit at an error of 0.2 rad (m).
 
-        Where there is no limit, the joint alone would swing at 13 rad/s.
+        Without a torque limit, the joint alone would oscillate at 13 rad/s.
         """
         bounds = robot.torque_bounds
         by_inertia = _SWINGS**2 * np.diagonal(model.mass())
@@ -133,36 +132,34 @@ class JointImpedance(ControllerDeclaration):
         return cls(stiffness=rounded, damping=DEFAULT_RATIO)
 
     def softer(self) -> Self | None:
-        """Half as stiff."""
         return self.changed({"stiffness": self.stiffness / 2})
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:
-        """Stiffness of all joints together and one by one, and the damping ratio."""
         of_first = np.broadcast_to(first.stiffness, robot.n)
         stiffness = np.broadcast_to(self.stiffness, robot.n)
-        words = range_text("stiffness", "Nm/rad")
+        describe = range_text("stiffness", "Nm/rad")
         share = 100.0 * float(np.median(stiffness / np.maximum(of_first, 1e-9)))
 
         def of_joint(joint: int) -> Callable[[float], dict[str, Any]]:
             def fields(value: float) -> dict[str, Any]:
-                wanted = stiffness.copy()
-                wanted[joint] = value
-                return {"stiffness": wanted}
+                changed = stiffness.copy()
+                changed[joint] = value
+                return {"stiffness": changed}
 
             return fields
 
         found = [
-            Slider("stiffness", share, 100.0 * _MOST_OF_FIRST, "%.0f %%",
-                   lambda value: {"stiffness": of_first * value / 100.0}, words,
-                   "of all joints, of what it was at first"),
+            Slider("stiffness", share, 100.0 * _SLIDER_STIFFNESS, "%.0f %%",
+                   lambda value: {"stiffness": of_first * value / 100.0}, describe,
+                   "of all joints, in percent of the initial stiffness"),
             damping_slider(float(self.damping[0]), lambda value: np.array([value])),
         ]  # fmt: skip
         for joint, name in enumerate(robot.names):
             unit = "Nm/rad" if robot.types[joint] == "revolute" else "N/m"
-            most = _MOST_OF_FIRST * float(of_first[joint])
+            maximum = _SLIDER_STIFFNESS * float(of_first[joint])
             found.append(
-                Slider(name, float(stiffness[joint]), most, f"%.0f {unit}", of_joint(joint), words,
-                       group="stiffness of the joints")
+                Slider(name, float(stiffness[joint]), maximum, f"%.0f {unit}", of_joint(joint),
+                       describe, group="stiffness of the joints")
             )  # fmt: skip
         return found
 
@@ -179,18 +176,18 @@ class JointImpedance(ControllerDeclaration):
 
 
 class JointPosition(JointImpedance):
-    """Follows the target's angles as a stiff impedance, with the torques that its motion takes.
+    """Follows target angles as a stiff joint impedance with feed-forward torques.
 
-    Behind a torque loop, elastic joints are under full state feedback: with the loop's B, Bt and T
-    (`torque_loop`), gains are B / Bt K of the motors' positions, B / Bt D of their velocities,
-    B / Bt - 1 of the joint torques and B / Bt T of the torques' derivatives. The links are where
-    the motors are but for the deflection by what the motion takes, which is allowed for.
+    Behind a torque loop, elastic joints have full state feedback: with B, Bt and T of the loop
+    (`torque_loop`), the gains are B / Bt K for motor positions, B / Bt D for motor velocities,
+    B / Bt - 1 for joint torques and B / Bt T for their derivatives. The targets of the motors
+    include the deflection caused by the torques of the motion.
 
     Attributes:
         stiffness: Nm/rad per joint.
         damping: ratio per joint.
-        feed_forward: as for `JointImpedance`.
-        damping_every: as for `JointImpedance`.
+        feed_forward: whether the torques for the motion of the target are added.
+        damping_every: s between two designs of the damping matrix.
     """
 
     at_links: ClassVar[bool] = False
@@ -205,20 +202,20 @@ class JointPosition(JointImpedance):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """None: who plays with a robot wants to feel it give way."""
+        """Returns None: a robot in live control should yield to forces."""
         return None
 
 
 def damping_slider(ratio: float, value_of: Callable[[float], Any]) -> Slider:
-    """The slider of a field `damping`, a ratio."""
+    """Returns the slider of a field `damping`, a ratio."""
     return Slider(
         "damping",
         ratio,
-        _MOST_RATIO,
+        _SLIDER_RATIO,
         "%.2f",
         lambda value: {"damping": value_of(value)},
         range_text("damping"),
-        "ratio: 0.7 overshoots by 4.6 %, 1 not at all",
+        "ratio: 0.7 overshoots by 4.6 %, 1 does not overshoot",
     )
 
 
@@ -226,9 +223,9 @@ class GravityCompensator(Controller):
     """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
 
     Args:
-        damping: d, (n,) or (m, n), Nm s/rad; None for none.
-        torques: tau_0, (n,) or (m, n), Nm, added all the time; None for none.
-        feed_forward: whether the target's torques are added.
+        damping: d, (n,) or (m, n), Nm s/rad; None for zero.
+        torques: tau_0, (n,) or (m, n), Nm; None for zero.
+        feed_forward: whether the torques of the target are added.
         compensate_gravity: whether g(q) is added.
     """
 
@@ -288,25 +285,25 @@ class GravityCompensator(Controller):
 class JointImpedanceController(Controller):
     """tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
 
-    With feed-forward also M(q) ddq_d + C(q, dq) dq_d, which makes the error of a moving target die
-    out as that of a resting one does (PD+; Paden and Panja 1988, Globally asymptotically stable
-    'PD+' controller for robot manipulators, Int. J. Control 47). To a resting target the robot
-    moves as springs and dampers on its own inertia would make it: the energy
-    1/2 dq M dq + 1/2 e K e falls by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A
-    Unified Passivity-based Control Framework, IJRR 26). D is designed from M(q), motors' inertia
-    included, every `damping_every`, and held: any positive semidefinite D takes energy.
+    With feed-forward, M(q) ddq_d + C(q, dq) dq_d is added, and the error of a moving target
+    converges as that of a resting target (PD+; Paden and Panja 1988, Globally asymptotically stable
+    'PD+' controller for robot manipulators, Int. J. Control 47). With a resting target, the robot
+    moves as if springs and dampers acted on its own inertia: the energy 1/2 dq M dq + 1/2 e K e
+    decreases by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A Unified Passivity-based
+    Control Framework, IJRR 26). D is designed from M(q) with the motor inertias at intervals of
+    `damping_every`. Between two designs it is constant: any positive semidefinite D dissipates
+    energy.
 
-    Where joints are elastic, q and dq are the motors', and the links hang below their targets by
-    what gravity bends; behind a torque loop q is where the links come to rest
-    (`StaticDeflection`), so that K is what one feels at the links.
+    If joints are elastic, q and dq are those of the motors, and gravity deflects the links from
+    their targets. Behind a torque loop, q are the resting angles of the links (`StaticDeflection`),
+    so that K acts at the links.
 
     Args:
         stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.
         damping: ratio, (n,) or (m, n).
         timestep: s between two calls.
-        feed_forward: whether the torques of the target's motion are added.
         damping_every: s.
-        at_links: whether K is meant at the links of elastic joints, or at their motors.
+        at_links: whether K acts at the links of elastic joints, instead of the motors.
     """
 
     spans_robots = True
@@ -327,14 +324,14 @@ class JointImpedanceController(Controller):
         self._timestep, self._at_links, self._feeds_forward = timestep, at_links, feed_forward
         self._rest: Array | None = None
         self._every = max(round(damping_every / timestep), 1)
-        # Steps until now, and those in which the damping of every row is designed anew.
+        # Number of steps, and the steps in which the damping of the rows is designed again.
         self._k = self._next = 0
         self._due = np.zeros(model.rows, np.intp)
         shape = (*model.rows, model.n)
         self.damping: Array = np.zeros((*shape, model.n))
         self._error: Array = np.zeros(shape)
         self._own, self._less = np.zeros((2, *shape))
-        self._times = np.matvec if model.rows else np.dot  # which takes half as long
+        self._times = np.matvec if model.rows else np.dot  # np.dot takes half the time
 
     @property
     def group(self) -> tuple[object, ...]:
@@ -358,23 +355,19 @@ class JointImpedanceController(Controller):
         self._due[which] = self._next = self._k
 
     def hold_links(self, joint_stiffness: Array) -> Array:
-        """See `Controller`.
-
-        Raises:
-            DeclarationError: K is too close to the stiffness of the joints themselves.
-        """
-        most = SOFTEST * joint_stiffness
+        """Raises DeclarationError if K is too close to the stiffness of the joints."""
+        maximum = SOFTEST * joint_stiffness
         own = np.max(np.atleast_2d(self._spring), axis=0)
-        if self._at_links and (own > most).any():
+        if self._at_links and (own > maximum).any():
             problems = [
                 Problem(
                     "stiffness",
                     f"joint {self.model.joint_names[i]}: found",
                     found=own[i],
                     of="Nm/rad",
-                    expected=f"at most {most[i]:g}, {100 * SOFTEST:g} % of the elastic joint's",
+                    expected=f"at most {maximum[i]:g}, {100 * SOFTEST:g} % of the elastic joint's",
                 )
-                for i in np.flatnonzero(own > most).tolist()
+                for i in np.flatnonzero(own > maximum).tolist()
             ]
             raise DeclarationError(problems)
         self._rest = np.zeros((*self.model.rows, self.model.n))
@@ -430,43 +423,38 @@ class JointImpedanceController(Controller):
 
             gain = float(stiffness[joint, joint])
             share = largest_share(holds)
-            most = 0.99 * share * gain
             others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
-            up_to = f"up to {most:.3g}{others}"
+            up_to = f"up to {0.99 * share * gain:.3g}{others}"
             name = model.joint_names[joint]
             raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
 
 
 def in_rows(each: Sequence[Array], robots: int) -> Array:
-    """Numbers per joint of the robots of the first row, the second, and so on, as (m, n)."""
+    """Arranges arrays per joint, of the robots of the first row, the second, ..., as (m, n)."""
     rows = range(0, len(each), robots)
     return np.array([np.concatenate(each[row : row + robots]) for row in rows])
 
 
 def diagonal(values: Array) -> Array:
-    """Diagonal matrices, (..., n, n)."""
+    """Returns diagonal matrices, (..., n, n)."""
     return np.asarray(values[..., None] * np.eye(values.shape[-1]))
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:
-    """Damping matrix that gives every mode of mass and stiffness a damping ratio.
+    """Returns the damping matrix that gives every mode of mass and stiffness a damping ratio.
 
-    Double diagonalisation: M = Q Q^T and K = Q W^2 Q^T with diagonal W, then D = 2 Q Z W Q^T. Modes
-    then move as mass-spring-dampers of their own: with one ratio z a step overshoots by
+    Double diagonalization: M = Q Q^T and K = Q W^2 Q^T with diagonal W, then D = 2 Q Z W Q^T. Each
+    mode then moves as an independent mass-spring-damper: with ratio z a step overshoots by
     exp(-pi z / sqrt(1 - z^2)), 4.6 % at 0.7. A direction without stiffness has no damping.
 
-    Modes belong to no single joint. Ratios that differ are put in as sqrt(z_i z_j) before the
-    entries of the matrix for ratio one: it stays positive semidefinite, and equal ratios give the
-    exact result.
+    A mode does not belong to one joint. Therefore different ratios scale the entries of the matrix
+    for ratio one by sqrt(z_i z_j): it remains positive semidefinite, so it can only dissipate
+    energy, and the result for equal ratios is exact.
 
     Args:
         mass: (..., n, n), symmetric, positive definite.
         stiffness: (..., n, n), symmetric, positive semidefinite.
         ratio: damping ratio, 1 for critical damping; a number, (n,) or (..., n).
-
-    Returns:
-        (..., n, n), symmetric, positive semidefinite: it can only take energy, also when it is
-        kept while the mass matrix changes.
 
     Source: Albu-Schäffer, Ott, Frese, Hirzinger 2003, Cartesian Impedance Control of Redundant
     Robots: Recent Results with the DLR-Light-Weight-Arms, ICRA (double diagonalization design).
@@ -482,17 +470,11 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
 
 
 def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: float) -> int | None:
-    """The joint that moves most in an unstable mode of a sampled controller, or None.
+    """Returns the joint that moves most in an unstable mode of a sampled controller, or None.
 
-    The torques -K q - D dq are held for a step, and velocities are stepped before angles (MuJoCo's
-    semi-implicit Euler): the robot is stable where no eigenvalue of that map is beyond one. For one
-    mass this is w^2 t^2 + 4 z w t < 4 with w^2 = K / M and D = 2 z w M.
-
-    Args:
-        mass: (n, n), kg m2 (kg).
-        stiffness: (n, n), Nm/rad (N/m).
-        damping: (n, n), Nm s/rad (N s/m).
-        timestep: s between two torques.
+    The torques -K q - D dq are held for one time step, and velocities are integrated before angles
+    (MuJoCo's semi-implicit Euler). The robot is stable if no eigenvalue of this map has a magnitude
+    above one. For one mass this means w^2 t^2 + 4 z w t < 4 with w^2 = K / M and D = 2 z w M.
     """
     n = len(mass)
     pull = timestep * np.linalg.solve(mass, np.hstack([stiffness, damping]))
@@ -507,7 +489,7 @@ def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: floa
 
 
 def largest_share(holds: Callable[[float], bool]) -> float:
-    """The largest share from 0 to 1 of something for which a condition holds, within 0.03 %."""
+    """Returns the largest share from 0 to 1 for which `holds` is true, within 0.03 %."""
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
@@ -516,12 +498,7 @@ def largest_share(holds: Callable[[float], bool]) -> float:
 
 
 def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") -> DeclarationError:
-    """The error for gains that are unstable at a time step.
-
-    Args:
-        gain: for the message: ` at 500 Nm/rad`, say.
-        timestep: s between two torques.
-    """
+    """Returns the error for gains that are unstable, with a text such as ` at 500 Nm/rad`."""
     return Problem(
         "stiffness",
         f"joint {joint} is unstable{gain} with a time step of",

@@ -1,4 +1,4 @@
-"""From a declaration to a controller whose torques are limited."""
+"""Makes controllers with limited torques from declarations."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from .robot_models import RobotModels
 
 
 class LimitedController:
-    """A controller behind torque limits and torque rate limits.
+    """A controller with torque limits and torque rate limits.
 
-    The first torques are not rate-limited: they are the reference for the next step.
+    The torques of the first step are not rate-limited.
 
     Args:
         limits: (n,), Nm or N.
@@ -31,10 +31,10 @@ class LimitedController:
         rates: (n,), Nm/s or N/s; None for no limit.
 
     Attributes:
-        requested: (n,), what the controller asked for in the last step; always the same array.
+        requested: torques of the last step before limiting, (n,); updated in place.
 
     Raises:
-        DeclarationError: a limit is not positive, or there is not one for every joint.
+        DeclarationError: a limit is not positive, or the number of limits is not n.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class LimitedController:
 
     def _limit(self, limits: Array, step: Array | None) -> None:
         self.requested: Array = np.zeros(limits.shape)
-        self._given: Array = self.requested
+        self._commanded: Array = self.requested
         self.limits, self._low, self._step = limits, -limits, step
         self._last: Array | None = None
 
@@ -66,11 +66,7 @@ class LimitedController:
     def joined(
         cls, each: Sequence[LimitedController], robots: int, model: RobotModels
     ) -> LimitedController:
-        """One for controllers of one `Controller.group`, which have made no step.
-
-        Args:
-            each: of the robots of the first row, of the second, and so on.
-        """
+        """Joins controllers of one `Controller.group` that have made no step, row by row."""
         kind = type(each[0].controller)
         controller = kind.joined([one.controller for one in each], robots, model)
         made = cls(controller, np.ones(model.n), 1.0, joint_names=model.joint_names)
@@ -87,25 +83,26 @@ class LimitedController:
         return made
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the torques within the limits, (n,).
+        """Writes the limited torques, (n,).
 
         Raises:
-            SimulationError: a torque of the only robot is NaN or infinite.
+            SimulationError: the controller raised an error, or a torque of a single robot is NaN or
+                infinite.
         """
         requested = self.requested
         try:
             returned = self.controller.torques(sensed, target, requested)
-        except np.linalg.LinAlgError:  # what numpy makes of NaN in a matrix
+        except np.linalg.LinAlgError:  # raised by numpy for a matrix with NaN
             is_finite = np.isfinite(sensed.values).all(axis=(-2, -1))
             requested[~is_finite if requested.ndim > 1 and not is_finite.all() else ...] = math.nan
             returned = None
         except SeroError:
             raise
-        except Exception as error:  # whatever somebody's own controller raises
+        except Exception as error:  # third-party controllers can raise any error
             what = f"{self._kind.__name__}.torques: {about_fault(error, self._kind)}"
             raise SimulationError(sensed.time, self._robot, what) from error
         if returned is not None:
-            reason = "torques() has returned something; expected it to write into `out`"
+            reason = "torques() returned a value; expected None, and torques written to `out`"
             raise SimulationError(sensed.time, self._robot, reason)
         if requested.ndim == 1 and not self.is_finite():
             raise self.not_finite(sensed)
@@ -116,7 +113,7 @@ class LimitedController:
             np.maximum(out, self._last - self._step, out=out)
             np.minimum(out, self._last + self._step, out=out)
             self._last[...] = out
-        self._given = out
+        self._commanded = out
 
     @property
     def _robot(self) -> str:
@@ -124,30 +121,30 @@ class LimitedController:
 
     @property
     def saturated(self) -> Bools:
-        """Which joints got something else than they asked for in the last step, (n,)."""
-        return np.not_equal(self._given, self.requested)
+        """Whether the torque of each joint was limited in the last step, (n,)."""
+        return np.not_equal(self._commanded, self.requested)
 
     def check(self, angles: Array) -> None:
         self.controller.check(angles)
 
     def is_finite(self, row: int = 0) -> bool:
-        """Whether the torques that are asked for in a row are numbers, and not too large to be."""
+        """Whether the sum of squares of a row of requested torques is finite."""
         requested = self.requested if self.requested.ndim == 1 else self.requested[row]
         return bool(requested.dot(requested) < math.inf)  # detects NaN and inf in any joint
 
     def not_finite(self, sensed: Sensed, row: int = 0) -> SimulationError:
-        """Names the joint whose sensor is to blame, else the one whose torque is, of a row."""
+        """Returns the error for a row that is not finite: of its sensor if that is not finite."""
         requested = np.atleast_2d(self.requested)[row]
         measured = sensed.values.reshape(-1, 3, len(requested))[row]
         for values, what in zip(measured, ("angle", "velocity", "torque"), strict=True):
             if not np.isfinite(values).all():
                 joint = int(np.argmax(~np.isfinite(values)))
-                reason, found, unit = f"the controller gets a measured {what} of", values[joint], ""
+                reason, found, unit = f"the controller received a {what} of", values[joint], ""
                 break
         else:
             bad = ~np.isfinite(requested)
             joint = int(np.argmax(bad if bad.any() else np.abs(requested)))
-            reason, found, unit = "the controller asks for", requested[joint], "Nm"
+            reason, found, unit = "the controller requested", requested[joint], "Nm"
         expected = "a finite number"
         problem = Problem("", reason, found=float(found), of=unit, expected=expected)
         return SimulationError(sensed.time, self._places[joint], problem)
@@ -168,19 +165,16 @@ def _limit_problems(key: str, limits: Array, unit: str, names: Sequence[str]) ->
 
 @cache
 def controller_kinds() -> dict[str, type[ControllerDeclaration]]:
-    """All installed kinds of controllers by name."""
+    """Returns all installed kinds of controllers by name, in their order."""
     kinds = load_all(CONTROLLERS, ControllerDeclaration)
     return dict(sorted(kinds.items(), key=lambda each: (each[1].order, each[0])))
 
 
 def controller_from(table: Any) -> ControllerDeclaration:
-    """Builds the declaration of a controller from a table of a file.
+    """Returns the declaration of a controller for a table with `kind` and its fields.
 
-    Args:
-        table: `kind` and its fields; a declaration comes back as it is.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
+    A declaration is returned unchanged. Raises DeclarationError for an unknown kind or wrong
+    fields.
     """
     return by_kind(table, controller_kinds(), ControllerDeclaration)  # type: ignore[type-abstract]
 
@@ -191,17 +185,17 @@ def make_controller(
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
-    """Makes a controller and limits its torques as its robot asks.
+    """Makes a controller whose torques are limited to those of its robot.
 
     Args:
         controller: a declaration, or any object with the method `torques` of `Controller`.
-        model: what the controller knows of its robot; for it alone.
+        model: the controller's own model of the robot; not shared.
         timestep: s between two calls.
-        torque_limits: the robot's, (n,), Nm or N; None where it has none.
+        torque_limits: of the robot, (n,), Nm or N; None for no limits.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
-        NotTrusted: it would run something, and its file may not.
+        NotTrusted: the controller would run code, and its file is not trusted.
     """
     n = model.n
     limits: Array = np.full(n, np.inf) if torque_limits is None else np.array(torque_limits, float)
@@ -213,7 +207,7 @@ def make_controller(
         controller = own.make(model, timestep)
         found = f"{type(own).__name__}.make returned {shown(controller)}"
     if isinstance(controller, type):
-        message = f"found {shown(controller)}; expected an object: {controller.__name__}()"
+        message = f"found {shown(controller)}; expected an instance: {controller.__name__}()"
         raise Problem("", message).error()
     if not callable(getattr(controller, "torques", None)):
         message = f"{found}; expected an object with a method torques(sensed, target, out)"

@@ -1,4 +1,4 @@
-"""The momentum observer: torques from outside, without measuring accelerations."""
+"""`MomentumObserver`: estimates external torques without measured accelerations."""
 
 from __future__ import annotations
 
@@ -12,37 +12,35 @@ from .robot_models import RobotModels
 
 
 class MomentumObserver:
-    """External joint torques r(t) of one robot, a first-order low pass of the true ones.
+    """Estimates external joint torques r(t), which are the true ones after a first-order low pass.
 
-    With the momentum p = M dq and dp/dt = tau + C^T dq - g + tau_ext,
+    With the momentum p = M dq and dp/dt = tau + C^T dq - g + tau_ext, the estimate is
 
-        r = k (p(t) - p(0) - integral of (tau + C^T dq - g + r)),    dr/dt = k (tau_ext - r):
+        r = k (p(t) - p(0) - integral of (tau + C^T dq - g + r)),    dr/dt = k (tau_ext - r).
 
-    each joint follows its own external torque with time constant 1 / k. Neither accelerations nor
-    the inverse of M are needed (De Luca, Albu-Schäffer, Haddadin, Hirzinger 2006, Collision
+    Each joint follows its own external torque with the time constant 1 / k. Neither accelerations
+    nor the inverse of M are needed (De Luca, Albu-Schäffer, Haddadin, Hirzinger 2006, Collision
     Detection and Safe Reaction with the DLR-III Lightweight Manipulator Arm, IROS). C^T dq is
-    exact, see `RobotModel.transposed_coriolis`.
+    exact, see `RobotModel.write_momentum`.
 
-    With torques measured on the link side, p is the momentum of the links alone: the motors with
-    their friction are on the other side of the sensor. With motor torques, `motor_side=True`
-    counts the motors' inertia, and their friction is taken for torques from outside.
+    If torques are measured on the link side, p is the momentum of the links alone, because the
+    motors and their friction are on the other side of the sensor. If they are motor torques
+    (`motor_side`), p includes the motors, and friction is estimated as an external torque.
 
-    A torque is taken to have acted during the step that ends with the angles it is given with, as
-    in a loop that sets a torque, steps, and senses; what depends on the state is averaged over the
-    step. r is solved for at the end of the step, so every gain is stable.
+    A torque acts during the step that ends with the measured state. Terms that depend on the state
+    are averaged over the step. r is computed implicitly, so every gain is stable.
 
     Args:
-        model: for itself, or shared with a controller that updates it; of many equal robots, which
-            are then the first axis of all.
-        gain: k, 1/s, one number or (n,), or (m, n); its inverse is the time constant.
+        model: may be shared with a controller that updates it.
+        gain: k, 1/s: one number, (n,) or (m, n).
         timestep: s between two calls.
-        motor_side: whether torques are those of the motors.
+        motor_side: whether the torques are motor torques.
 
     Attributes:
-        external: (n,), Nm or N, the estimate r; the same array at every step.
+        external: the estimate r, (n,) or (m, n), Nm or N; updated in place.
 
     Raises:
-        ValueError: a gain that is not positive.
+        ValueError: a gain is not positive.
     """
 
     def __init__(
@@ -69,19 +67,17 @@ class MomentumObserver:
         self._scale: Array = gains / (1.0 + gains * timestep)
         self._motors: Array | None = model.motor_inertia.copy() if motor_side else None
         self._sum, self._momentum, self._own, self._before = np.zeros((4, *shape))
-        self._has_begun = False  # whether `_before` has C^T dq - g of the last step
+        self._has_begun = False  # whether `_before` contains C^T dq - g of the last step
 
     def update(self, sensed: Sensed) -> Array:
-        """Takes one step and returns `external`."""
+        """Makes one step and returns `external`."""
         self.model.update(sensed.angles, sensed.velocities)
         return self.update_with(sensed.velocities, sensed.torques)
 
     def update_with(self, velocities: Array, torques: Array) -> Array:
-        """The same with the model already updated, as a controller may have done it.
+        """Makes one step with a model that was already updated to the velocities.
 
-        Args:
-            velocities: (n,), those that the model was updated with.
-            torques: (n,), Nm or N, of the step that led there.
+        The torques, (n,), Nm or N, are those of the step that led to this state.
         """
         momentum, own = self._momentum, self._own
         self.model.write_momentum(momentum, own)

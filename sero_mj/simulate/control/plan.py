@@ -1,7 +1,4 @@
-"""Targets of robots at every step of a run, computed before it begins.
-
-A motion of the flange is followed by inverse kinematics, pose by pose.
-"""
+"""Targets of robots for every step of a run, computed before the run."""
 
 from __future__ import annotations
 
@@ -30,22 +27,19 @@ from .target_motions import (
     TargetMotion,
 )
 
-_EVERY = 0.02  # s between two poses that are tried
+_EVERY = 0.02  # s between two poses of inverse kinematics
 
 
 def target_motion_kinds() -> Mapping[str, type[TargetMotion]]:
-    """All installed kinds of target motions by name."""
+    """Returns all installed kinds of target motions by name."""
     return load_all(TARGET_MOTIONS, TargetMotion)
 
 
 def target_motion_from(table: Any) -> TargetMotion:
-    """Builds the declaration of a target motion from a table of a file.
+    """Returns the declaration of a target motion for a table with `kind` and its fields.
 
-    Args:
-        table: `kind` and its fields; a declaration comes back as it is.
-
-    Raises:
-        DeclarationError: there is no such kind, or fields are wrong.
+    A declaration is returned unchanged. Raises DeclarationError for an unknown kind or wrong
+    fields.
     """
     return by_kind(table, target_motion_kinds(), TargetMotion)
 
@@ -55,9 +49,9 @@ class Plan:
     """The target of one robot at every step.
 
     Attributes:
-        joints: angles, velocities and accelerations, (T, n) each; None where there is no target.
-        flange: poses and twists, where controller or target are Cartesian; only with `joints`.
-        moves: whether it ever changes.
+        joints: None for no target.
+        flange: None unless the controller or the target motion is Cartesian.
+        moves: whether the target changes during the run.
     """
 
     joints: Motion | None
@@ -66,14 +60,14 @@ class Plan:
 
     @cached_property
     def motion(self) -> Array | None:
-        """(T, 3, n), angles, velocities and accelerations; None where there is no target."""
+        """Angles, velocities and accelerations, (T, 3, n); None for no target."""
         of = self.joints
         return (
             None if of is None else np.stack([of.angles, of.velocities, of.accelerations], axis=1)
         )
 
     def write(self, k: int, target: Target) -> None:
-        """Writes step k into a target of the robot."""
+        """Writes the values of step k to a target."""
         if self.motion is not None:
             target.motion[...] = self.motion[k]
         if self.flange is not None:
@@ -90,19 +84,19 @@ def make_plan(
     needs_target: bool = True,
     needs_pose: bool = True,
 ) -> Plan:
-    """The target of a robot over a run.
+    """Computes the target of a robot for a run.
 
-    A law in joint space is turned into poses for a Cartesian controller, and a Cartesian one into
-    joint angles; the latter are shown in any case, and are proof that it can be followed.
+    Joint motions are converted to poses if a Cartesian controller needs them. Motions of the flange
+    are converted to joint angles by inverse kinematics; the angles are displayed, and ensure that
+    the robot can follow.
 
     Args:
-        target: the motion; None stays where it starts, or has no target where there is no spring.
+        target: None to stay at the start or, unless `needs_target`, for no target.
         times: (T,), s.
-        compiler: of the model with which a flange's way is followed.
-        start: (n,), where the robot stands at first, rad or m; as it is declared when None.
+        start: initial joint angles, (n,), rad or m; the declared ones if None.
 
     Raises:
-        DeclarationError: the motion leaves the robot's limits or reach.
+        DeclarationError: the motion leaves the limits or the reach of the robot.
     """
     start = np.asarray(robot.home if start is None else start, np.float64)
     if target is None and not needs_target:
@@ -140,18 +134,19 @@ def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
 def follow_poses(
     motion: CartesianMotion, model: RobotModel, robot: SerialRobot, start: Array
 ) -> Array:
-    """Joint angles (T, n) along a motion of the flange, within the position limits.
+    """Returns joint angles (T, n) for a motion of the flange, within the position limits.
 
-    Found pose by pose, every 20 ms and linearly between, by damped least squares (`reach`), each
-    from the one before; a check and a first guess, no plan. A redundant arm might get through with
-    another elbow where this one is stopped by a limit.
+    Damped least squares (`reach`) computes a pose every 20 ms, starting from the previous one;
+    angles between them are interpolated. This is not a planner: a redundant arm may be stopped by a
+    limit that it would not reach with another position of the elbow.
 
     Args:
-        model: of the robot; it is moved.
-        start: (n,), rad or m, the angles at first.
+        model: of the robot; this function updates it.
+        start: initial angles, (n,), rad or m.
 
     Raises:
-        DeclarationError: says when the flange stays behind, how far, and what is at its limit.
+        DeclarationError: the flange cannot follow. The error states the time, the distance, and the
+            joints at their limits.
     """
     times = motion.times
     picked = np.unique(
@@ -175,11 +170,11 @@ def follow_poses(
 
 def _too_far(time: float, reached: Reached, robot: SerialRobot) -> DeclarationError:
     left = f"{1e3 * reached.distance:.1f} mm and {np.rad2deg(reached.angle):.1f} deg"
-    found = f"the flange cannot follow at t = {time:.3f} s: it stays {left} away"
+    found = f"the flange cannot follow at t = {time:.3f} s: its error is {left}"
     names = [name for name, there in zip(robot.names, reached.at_limit, strict=True) if there]
     if names:
         joints = f"joint {names[0]} is" if len(names) == 1 else f"joints {', '.join(names)} are"
         why = f"{joints} at the limit"
     else:
-        why = "no joint is at its limit, it is too far or a singularity in the way"
+        why = "no joint is at its limit: the pose is out of reach or behind a singularity"
     return Problem("", f"{found}; {why}").error()

@@ -1,14 +1,14 @@
 """`RobotModel`: the kinematics and dynamics that a controller knows of its robot.
 
-It is a model of that robot: no payload, no contact, and the masses that the controller believes
-in. Other robots are in it only as what carries it and as its load, see `follow`. What differs from
-that in the simulated world shows as it would on the real robot.
+It contains no payload and no contact, and the masses that the controller assumes. Other robots
+appear only as the carrier and the load of the robot, see `follow`. Differences from the simulated
+world have the same effects as on a real robot.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from functools import lru_cache
 
 import mujoco
@@ -22,47 +22,45 @@ from mujoco import (
     mj_makeM,
     mj_rne,
     mj_solveM,
-    mju_mat2Quat,
-    mju_mulQuat,
 )
 
-from ...base.frames import Array, frame, inverse, rotation_from_quat
-from ...robots.assemble.world import World, dynamics_of
+from ...base.frames import Array, frame, rotation_from_quat
+from ...robots.assemble.world import World, world_without_meshes
 from ...robots.declared.robot import SerialRobot
-from ...robots.declared.scene import Scene
-from .whole_body import Mounting
+from .whole_body import Carrier, Mounting
 
 
 class RobotModel:
-    """Kinematics and dynamics of one robot at the angles and velocities it was last given.
+    """Kinematics and dynamics of one robot at the angles and velocities of the last `update`.
 
-    `update` once, then ask: nothing is computed that is not asked for. What comes back is a
-    buffer that the next call of the same method writes again; copy it to keep it.
+    Each method computes its result when it is called, and returns a buffer that its next call
+    overwrites.
 
-    Joint torques are in Nm, forces of prismatic joints in N. The Coriolis matrix C is that of the
-    Christoffel symbols (Siciliano et al. 2009, Robotics, 7.2), so that dM/dt = C + C^T.
+    The Coriolis matrix C is that of the Christoffel symbols (Siciliano et al. 2009, Robotics, 7.2),
+    so that dM/dt = C + C^T.
 
     Args:
-        model: where the robot's masses are taken from, at once; other robots, payloads fixed later
-            and contacts are not. Other joints of the robot (a gripper's, elastic ones) are rigid.
-        joints: ids of the robot's hinge and slide joints, base to flange.
-        site: id of the site at the flange. One of site and body is needed.
-        body: id of the body whose frame is the flange's.
-        name: the robot's name, for messages.
+        model: provides the masses of the robot, which are copied. Its other robots and contacts,
+            and later payloads, are ignored. Other joints of the robot, such as those of a gripper
+            or of elastic gears, are rigid.
+        joints: ids of the hinge and slide joints of the robot, base to flange.
+        site: id of the site at the flange. Exactly one of `site` and `body` must be given.
+        body: id of the body whose frame is the flange frame.
+        name: of the robot, for error messages.
 
     Attributes:
-        rows: (), the leading axes of what is asked and answered; see `RobotModels`.
+        rows: leading axes of all arrays: () for one robot, see `RobotModels`.
         n: number of joints.
-        name: the robot's name.
-        joint_names: of every joint, without the robot's name before it.
-        position_limits: (n, 2), lower and upper, rad or m; infinite where none are known.
-        velocity_limits: (n,), rad/s or m/s, likewise.
-        motor_inertia: (n,), kg m2 or kg, as reflected to the joint; on the diagonal of M.
-        flange_position: (3,), m, in the world; always that of the last `update`.
-        flange_rotation: (3, 3), R_world_flange, likewise.
+        joint_names: without the prefix of the robot.
+        position_limits: (n, 2), lower and upper, rad or m; infinite if unknown.
+        velocity_limits: (n,), rad/s or m/s; infinite if unknown.
+        motor_inertia: as reflected to the joint, on the diagonal of M, (n,), kg m2 or kg.
+        flange_position: (3,), m, in the world; updated in place by `update`.
+        flange_rotation: R_world_flange, (3, 3); updated in place by `update`.
 
     Raises:
-        ValueError: the joints are not those of one robot in their order, or there is no flange.
+        ValueError: the joints are not joints of one robot in ascending order, or there is not
+            exactly one of `site` and `body`.
     """
 
     rows: tuple[int, ...] = ()
@@ -80,39 +78,37 @@ class RobotModel:
             raise ValueError("expected a site or a body for the flange, and not both")
         ids = [int(joint) for joint in joints]
         n = len(ids)
-        sliding_or_turning = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
+        types = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}
         trees = set(model.body_rootid[model.jnt_bodyid[ids]].tolist())
         kinds = set(model.jnt_type[ids].tolist())
-        if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= sliding_or_turning:
+        if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= types:
             raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
         self.n, self.name = n, name
-        self.joint_names = [_own_name(model.joint(joint).name) for joint in ids]
+        names = [model.joint(joint).name for joint in ids]
+        self.joint_names = [each.partition("/")[2] or each for each in names]
         self.position_limits: Array = np.tile([-np.inf, np.inf], (n, 1))
         self.velocity_limits: Array = np.full(n, np.inf)
+        self._base: Array | None = None  # T_world_base, if it is known and does not move
         self._model = skeleton(model, ids, site, body)
         self._compiled = self._model  # shared by copies
         self._take_views()
 
     def __copy__(self) -> RobotModel:
-        """A model of its own, at home and in the world; far quicker than to compile it again."""
+        """Returns an independent model, far quicker than by compiling it again."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__, _model=copy.copy(self._model))
         made._take_views()
-        made._base = self._base
         return made
 
     @classmethod
     def side_by_side(cls, models: Sequence[RobotModel], m: int = 1) -> RobotModel:
-        """A model of m times these robots in one world, whose joints follow each other.
+        """Returns a model of m times these robots in one world, joint after joint.
 
-        What depends on one robot alone is the same in it to the bit: gravity, Coriolis torques,
-        inverse dynamics, momentum. It has no flange.
-
-        Args:
-            models: of robots under the same gravity.
+        Results that depend on one robot only are identical to the bit: gravity, Coriolis torques,
+        inverse dynamics, momentum. All robots need the same gravity. The model has no flange.
         """
         made = object.__new__(cls)
-        made.__dict__.update(models[0].__dict__, n=m * sum(model.n for model in models))
+        made.__dict__.update(models[0].__dict__, n=m * sum(model.n for model in models), _base=None)
         made._model = copy.copy(_repeated(m, *(model._compiled for model in models)))
         made._model.opt.gravity[:] = models[0]._model.opt.gravity
         made._take_views()
@@ -123,47 +119,25 @@ class RobotModel:
         mj_fwdKinematics(self._model, data)
         n = self.n
         self._qpos: Array = data.qpos
-        self._gravity, self._coriolis, self._transposed, self._momentum = np.zeros((4, n))
-        self._velocities: Array = np.zeros(n)
+        self._gravity, self._coriolis, self._velocities = np.zeros((3, n))
         self._mass: Array = np.zeros((n, n))
-        self.motor_inertia: Array = self._model.dof_armature.copy()
         self._jacobian: Array = np.zeros((6, n))
-        self._linear, self._angular = self._jacobian[:3], self._jacobian[3:]
+        self.motor_inertia: Array = self._model.dof_armature.copy()
         if self._model.nsite:
             self.flange_position: Array = data.site_xpos[0]
             self.flange_rotation: Array = data.site_xmat[0].reshape(3, 3)
-        self._cinert, self._cdof = data.cinert, data.cdof
-        self._can_move = False
-        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
-        self._base: Array | None = None  # T_world_base, where it is known and does not move
+        self._moving: tuple[mujoco.MjModel, mujoco.MjData] | None = None  # see `_move`
+        self._has_mass = False
         self._mounting: Mounting | None = None
-        self._carriers: list[_Carrier] = []
-
-    def _make_moving(self) -> None:
-        """Makes the data of robots that move; not before, as it takes as long as 500 steps.
-
-        mj_rne reads velocities from cvel and cdof_dot. They stay zero in `_data`, so there it gives
-        gravity alone; in the others gravity is zero.
-        """
-        self._weightless = copy.copy(self._model)
-        self._weightless.opt.gravity[:] = 0.0
-        self._moving = moving = mujoco.MjData(self._weightless)
-        self._swapped = swapped = mujoco.MjData(self._weightless)
-        self._qvel: Array = moving.qvel
-        self._qacc: Array = moving.qacc
-        self._moving_cinert, self._moving_cdof = moving.cinert, moving.cdof
-        self._moving_cdof_dot = moving.cdof_dot
-        self._swapped_cinert, self._swapped_cdof = swapped.cinert, swapped.cdof
-        self._swapped_cdof_dot, self._swapped_qvel = swapped.cdof_dot, swapped.qvel
-        self._can_move = True
+        self._carriers: list[Carrier] = []
 
     @property
     def skeleton(self) -> mujoco.MjModel:
-        """The model that all is computed with: links and joints without shapes and friction."""
+        """The MuJoCo model behind all results: links and joints without shapes and friction."""
         return self._model
 
     def follow(self, *mountings: tuple[Mounting, Array, int]) -> None:
-        """Lets every `update` take over where bases are, and what robots carry, as loads.
+        """Makes every `update` move the bases of robots and add the robots that they carry.
 
         Args:
             mountings: of every robot in the model: its mounting, T_world_base when the model was
@@ -176,21 +150,20 @@ class RobotModel:
         for mounting, T_world_base, n in mountings:
             found[id(mounting.data)].append((mounting, T_world_base, joint, n))
             joint += n
-        self._carriers = [_Carrier(model, self._data, whole[key], found[key]) for key in whole]
+        self._carriers = [Carrier(model, self._data, whole[key], found[key]) for key in whole]
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
-        """The model of a declared robot, with its own masses and nothing else in the world.
+        """Returns the model of a declared robot that stands in the world (`mounts.unmounted`).
 
         Args:
-            robot: its declaration, standing in the world (`mounts.unmounted`).
-            world: a dynamic one with this robot alone, where it has been compiled already.
+            world: a dynamic world with this robot alone, if it has already been compiled.
 
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
         """
         if world is None:
-            world = world_without_meshes(robot)
+            world = world_without_meshes([robot])
         part = world.robots[robot.name]
         joints = [int(world.model.dof_jntid[dof]) for dof in part.dofs]
         made = cls(world.model, joints, body=part.flange_body, name=robot.name)
@@ -202,302 +175,151 @@ class RobotModel:
         return made
 
     def update(self, angles: Array, velocities: Array) -> None:
-        """Moves the model.
+        """Moves the model to angles and velocities, (n,) each.
 
-        Args:
-            angles: (n,), rad or m.
-            velocities: (n,), per second; kept, not copied, until the next update.
+        The array of velocities is not copied and must not change until the next update.
         """
         self._qpos[...] = angles
         self._velocities = velocities
-        self._is_moving = self._is_swapped = self._has_mass = self._is_factored = False
+        self._has_mass = False
         for carrier in self._carriers:
             carrier.move_bases()
         mj_fwdKinematics(self._model, self._data)
         for carrier in self._carriers:
             carrier.add_loads()
 
-    def gravity(self, out: Array | None = None) -> Array:
-        """g(q), (n,): the torques that hold the robot still.
+    def _move(self, velocities: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        # mj_rne reads velocities from cvel and cdof_dot. They remain zero in `_data`, so mj_rne
+        # computes gravity alone there, and velocities alone in this model, which has no gravity.
+        if self._moving is None:  # not in `_take_views`: it takes as long as 500 steps
+            weightless = copy.copy(self._model)
+            weightless.opt.gravity[:] = 0.0
+            self._moving = weightless, mujoco.MjData(weightless)
+        weightless, moving = self._moving
+        moving.cinert[...], moving.cdof[...] = self._data.cinert, self._data.cdof
+        moving.qvel[...] = velocities
+        mj_comVel(weightless, moving)
+        return self._moving
 
-        Args:
-            out: (n,), to be written instead of the buffer.
-        """
+    def gravity(self, out: Array | None = None) -> Array:
+        """Returns g(q), (n,): the torques that hold the robot still; written to `out` if given."""
         result = self._gravity if out is None else out
         mj_rne(self._model, self._data, 0, result)
         return result
 
     def coriolis(self) -> Array:
-        """C(q, dq) dq, (n,)."""
-        self._move()
-        mj_rne(self._weightless, self._moving, 0, self._coriolis)
+        """Returns C(q, dq) dq, (n,)."""
+        mj_rne(*self._move(self._velocities), 0, self._coriolis)
         return self._coriolis
 
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
-        """Writes M_link(q) a + C(q, dq) v + g(q), what tracking takes, as a difference of two.
+        """Writes M_link(q) a + C(q, dq) v + g(q), for tracking, as `torques` minus `less`.
 
-        Args:
-            velocities: v, (n,), per second.
-            accelerations: a, (n,), per second squared.
-            torques: (n,), to be written.
-            less: (n,), likewise; to be taken from them.
+        All arrays are (n,); v and a are `velocities` and `accelerations`.
         """
-        # C(q, dq) v is linear in both and the same when they change places, so with c(x) =
-        # C(q, x) x it is c((dq + v) / 2) - c((dq - v) / 2): two passes of Newton and Euler.
-        if not self._can_move:
-            self._make_moving()
-        qvel = self._qvel
-        self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
-        self._qacc[...] = accelerations
-        np.add(self._velocities, velocities, qvel)
-        np.multiply(qvel, 0.5, qvel)
-        mj_comVel(self._model, self._moving)
-        mj_rne(self._model, self._moving, 1, torques)
-        np.subtract(qvel, velocities, qvel)
-        mj_comVel(self._model, self._moving)
-        mj_rne(self._weightless, self._moving, 0, less)
-        self._is_moving = False  # it moves, but at another velocity
-
-    def transposed_coriolis(self) -> Array:
-        """C(q, dq)^T dq, (n,): the slope of the kinetic energy along the angles, dq held.
-
-        Turning joint k turns all beyond it, momentum h_k, while the velocity v of what is before
-        it stays: the slope is (v x s_k) . h_k with the axis s_k. MuJoCo has v x s_k as
-        `cdof_dot`. Its recursive Newton-Euler sums axis . (inertia x acceleration) over all beyond
-        a joint; given velocities for accelerations and v x s for the axes, it sums just this, to
-        the last digit (spatial vectors as in Featherstone 2008, Rigid Body Dynamics Algorithms).
-        """
-        self._swap()
-        self._swapped_cdof[...] = self._moving_cdof_dot
-        mj_rne(self._weightless, self._swapped, 0, self._transposed)
-        return self._transposed
-
-    def link_momentum(self) -> Array:
-        """M_link(q) dq, (n,): the generalised momentum of the links, without the motors'."""
-        self._swap()
-        self._swapped_cdof[...] = self._cdof
-        mj_rne(self._weightless, self._swapped, 0, self._momentum)
-        return self._momentum
+        # C(q, dq) v is linear in dq and in v, and symmetric. So with c(x) = C(q, x) x it is
+        # c((dq + v) / 2) - c((dq - v) / 2): two recursive Newton-Euler passes.
+        half = (self._velocities + velocities) * 0.5
+        weightless, moving = self._move(half)
+        moving.qacc[...] = accelerations
+        mj_rne(self._model, moving, 1, torques)
+        np.subtract(half, velocities, moving.qvel)
+        mj_comVel(weightless, moving)
+        mj_rne(weightless, moving, 0, less)
 
     def write_momentum(self, momentum: Array, slope: Array) -> None:
-        """Writes what a momentum observer takes.
+        """Writes the momentum of the links and its slope without torques, for an observer.
 
         Args:
-            momentum: M_link(q) dq, (n,), to be written.
-            slope: C(q, dq)^T dq - g(q), (n,), likewise: how it changes without any torques.
+            momentum: to be written: M_link(q) dq, (n,), without the motors.
+            slope: to be written: C(q, dq)^T dq - g(q), (n,).
         """
-        momentum[...] = self.link_momentum()
-        np.subtract(self.transposed_coriolis(), self.gravity(), slope)
+        # mj_rne sums axis . (inertia x acceleration) over all bodies beyond a joint. With
+        # velocities instead of accelerations, the sum is the momentum.
+        # C^T dq is the slope of the kinetic energy along the angles at constant dq. A rotation of
+        # joint k moves all bodies beyond it, with momentum h_k, while the velocity v before it
+        # stays the same. So the slope is (v x s_k) . h_k with the axis s_k: the same sum with
+        # v x s_k, which MuJoCo has as cdof_dot, instead of the axes (spatial vectors as in
+        # Featherstone 2008, Rigid Body Dynamics Algorithms).
+        weightless, moving = self._move(self._velocities)
+        slopes_of_axes = moving.cdof_dot.copy()
+        moving.cvel[...], moving.cdof_dot[...] = 0.0, moving.cdof
+        mj_rne(weightless, moving, 0, momentum)
+        moving.cdof[...] = slopes_of_axes
+        mj_rne(weightless, moving, 0, slope)
+        slope -= self.gravity()
 
-    def made_mass(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
-        """The skeleton and its data, which have M(q) as MuJoCo stores it."""
-        if not (self._has_mass or self._is_factored):
+    def sparse_mass(self) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Returns the skeleton and its data, which contain M(q) in MuJoCo's sparse format."""
+        if not self._has_mass:
             mj_makeM(self._model, self._data)
+            self._has_mass = True
         return self._model, self._data
 
     def mass(self) -> Array:
-        """M(q), (n, n), kg m2 (kg), with the motors' inertia on its diagonal."""
-        if not self._has_mass:
-            if not self._is_factored:
-                mj_makeM(self._model, self._data)
-            mj_fullM(self._model, self._data, self._mass)
-            self._has_mass = True
+        """Returns M(q), (n, n), kg m2 (kg), with the motor inertias on its diagonal."""
+        mj_fullM(*self.sparse_mass(), self._mass)
         return self._mass
 
-    def over_mass(self, rows: Array, out: Array) -> Array:
-        """Rows A as A M^-1, for a sixth of what an inverse of M takes.
-
-        Args:
-            rows: A, (k, n).
-            out: (k, n), to be written.
-        """
-        if not self._is_factored:
-            if not self._has_mass:
-                mj_makeM(self._model, self._data)
-            mj_factorM(self._model, self._data)
-            self._is_factored = True
-        mj_solveM(self._model, self._data, out, rows)
-        return out
-
     def jacobian(self) -> Array:
-        """J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
-        self.write_jacobian(self._linear, self._angular)
+        """Returns J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
+        mj_jacSite(self._model, self._data, self._jacobian[:3], self._jacobian[3:], 0)
         return self._jacobian
-
-    def write_jacobian(self, linear: Array, angular: Array) -> None:
-        """Writes both halves of J(q), (3, n) each, to where they are wanted."""
-        mj_jacSite(self._model, self._data, linear, angular, 0)
 
     def write_task_space(
         self, scale: Array, jacobian: Array, scaled: Array, over_mass: Array, gravity: Array
     ) -> None:
-        """Writes what control of the flange takes.
+        """Writes the terms of control of the flange.
 
         Args:
-            scale: s, (6, 1), a factor for every axis.
-            jacobian: J(q), (6, n), to be written, as all that follows.
-            scaled: s J, (6, n).
-            over_mass: s J M^-1, (6, n).
-            gravity: g(q), (n,).
+            scale: input: s, a factor for every axis, (6, 1).
+            jacobian: to be written: J(q), (6, n).
+            scaled: to be written: s J, (6, n).
+            over_mass: to be written: s J M^-1, (6, n).
+            gravity: to be written: g(q), (n,).
         """
-        self.write_jacobian(jacobian[:3], jacobian[3:])
+        model, data = self.sparse_mass()
+        mj_jacSite(model, data, jacobian[:3], jacobian[3:], 0)
         np.multiply(jacobian, scale, scaled)
-        self.over_mass(scaled, over_mass)
+        mj_factorM(model, data)
+        mj_solveM(model, data, over_mass, scaled)
         self.gravity(gravity)
 
     def flange(self) -> Array:
-        """T_world_flange, (4, 4), m; a new array."""
+        """Returns T_world_flange, (4, 4), m, in a new array."""
         return frame(self.flange_rotation, self.flange_position)
 
     def base(self) -> Array:
-        """T_world_base, (4, 4), m; a new array.
+        """Returns T_world_base, (4, 4), m, in a new array.
 
-        Of a model that was not made of a declaration: that of the body before the first joint.
+        If the model was not made from a declaration, the base is the body before the first joint.
         """
         if self._mounting is not None:
             data, base = self._mounting.data, self._mounting.base
             return frame(rotation_from_quat(data.xquat[base]), data.xpos[base])
-        if self._base is not None:  # the skeleton's base is one with the world
+        if self._base is not None:  # the compiler fuses the base with the world
             return self._base.copy()
         body = int(self._model.body_parentid[self._model.jnt_bodyid[0]])
         return frame(self._data.xmat[body].reshape(3, 3), self._data.xpos[body])
-
-    def _move(self) -> None:
-        if not self._is_moving:
-            if not self._can_move:
-                self._make_moving()
-            self._moving_cinert[...], self._moving_cdof[...] = self._cinert, self._cdof
-            self._qvel[...] = self._velocities
-            mj_comVel(self._weightless, self._moving)
-            self._is_moving = True
-
-    def _swap(self) -> None:
-        self._move()
-        if not self._is_swapped:
-            self._swapped_cinert[...], self._swapped_cdof_dot[...] = self._cinert, self._cdof
-            self._swapped_qvel[...] = self._velocities
-            self._is_swapped = True
-
-
-class _Carrier:
-    """Moves the bases of a model's robots, and adds their loads, as one whole body has them."""
-
-    def __init__(
-        self,
-        model: mujoco.MjModel,
-        own: mujoco.MjData,
-        whole: mujoco.MjData,
-        robots: Sequence[tuple[Mounting, Array, int, int]],
-    ) -> None:
-        self._model, self._own, self._whole = model, own, whole
-        self._bases, self._trees = np.zeros((2, 0), np.intp)
-        self._positions: Array = np.zeros((0, 3, 1))
-        self._turns: Array = np.zeros((0, 4, 4))  # q -> q * quat of the tree in the base
-        bodies, carried, own_roots, roots = [], [], [], []
-        for mounting, T_world_base, joint, n in robots:
-            inverse_base, turn = inverse(T_world_base), np.empty(4)
-            mju_mat2Quat(turn, inverse_base[:3, :3].ravel())
-            tops = {int(model.body_rootid[model.jnt_bodyid[k]]) for k in range(joint, joint + n)}
-            for body in sorted(tops):  # trees that the base carries
-                quat: Array = np.empty(4)
-                mju_mulQuat(quat, turn, model.body_quat[body])
-                position = inverse_base[:3, :3] @ model.body_pos[body] + inverse_base[:3, 3]
-                self._bases = np.append(self._bases, mounting.base)
-                self._trees = np.append(self._trees, body)
-                self._positions = np.append(self._positions, position.reshape(1, 3, 1), axis=0)
-                w, x, y, z = quat
-                product = [[w, -x, -y, -z], [x, w, z, -y], [y, -z, w, x], [z, y, -x, w]]
-                self._turns = np.append(self._turns, [product], axis=0)
-            for link, body in mounting.loads:
-                if link > 0:  # the base's load is held by what the base stands on
-                    bodies.append(int(model.jnt_bodyid[joint + link - 1]))
-                    carried.append(body)
-                    own_roots.append(int(model.body_rootid[bodies[-1]]))
-                    roots.append(mounting.root)
-        self._bodies, self._carried, self._own_roots, self._roots = np.array(
-            [bodies, carried, own_roots, roots], np.intp
-        )
-
-    def move_bases(self) -> None:
-        whole, bases = self._whole, self._bases
-        rotations = whole.xmat[bases].reshape(-1, 3, 3)
-        self._model.body_pos[self._trees] = (
-            whole.xpos[bases] + (rotations @ self._positions)[..., 0]
-        )
-        self._model.body_quat[self._trees] = (self._turns @ whole.xquat[bases][..., None])[..., 0]
-
-    def add_loads(self) -> None:
-        """Adds the inertias of the loads to those of the links that carry them.
-
-        Both are about a point, in the world's axes. By the parallel-axis theorem, a shift by d of
-        the point adds S - tr(S) E to the tensor, with a = h - m d / 2 and S = a d^T + d a^T, and
-        -m d to the first moment h.
-        """
-        if not len(self._bodies):
-            return
-        loads, data = self._whole.crb[self._carried], self._own
-        shifts = data.subtree_com[self._own_roots] - self._whole.subtree_com[self._roots]
-        masses = loads[:, 9:]
-        arms = loads[:, 6:9] - 0.5 * masses * shifts
-        products = arms[:, :, None] * shifts[:, None, :]
-        traces = 2.0 * np.einsum("kii->k", products)[:, None]
-        loads[:, 0:3] += 2.0 * np.einsum("kii->ki", products) - traces
-        loads[:, 3:6] += products[:, [0, 0, 1], [1, 2, 2]] + products[:, [1, 2, 2], [0, 0, 1]]
-        loads[:, 6:9] -= masses * shifts
-        np.add.at(data.cinert, self._bodies, loads)
-
-
-def world_without_meshes(robot: SerialRobot) -> World:
-    """A dynamic world with a robot alone, of the masses that its meshes give it.
-
-    To compile these meshes as well takes many times as long, and a controller sees none of them.
-
-    Raises:
-        DeclarationError: MuJoCo cannot compile the robot.
-    """
-    known = dynamics_of(Scene(robots=[robot], floor=False))
-    bare = robot.model_copy(update={"filenames": [], "collisions": []})
-    return World(Scene(robots=[bare], floor=False), dynamic=True, dynamics=known)
 
 
 def skeleton(
     model: mujoco.MjModel, joints: Sequence[int], site: int | None, body: int | None
 ) -> mujoco.MjModel:
-    """Returns a model of one robot without shapes; its only site is the flange.
+    """Returns a model of one robot without shapes, whose only site is the flange.
 
-    Its base stays where it is in the model. Of its joints only those named are left; the others
-    (of a gripper, of elastic gears) are fixed where they are at first. Bodies that do not move
-    against each other are one.
-
-    Args:
-        joints: ids of its hinge and slide joints, base to flange.
-        site: id of the site at the flange, or None.
-        body: id of the body whose frame is the flange's, where there is no site.
+    The base is at the same pose as in the model. Joints that are not in `joints` are fixed at
+    their initial values, and bodies that cannot move relative to each other are fused. If `site`
+    is None, the frame of `body` is the flange frame.
     """
-    spec = mujoco.MjSpec()
+    spec = _bare_spec()
     spec.option.gravity = model.opt.gravity
     spec.compiler.fusestatic = True
-    spec.compiler.degree = False
-    spec.compiler.balanceinertia = False
-    copies = {0: spec.worldbody}
     root = model.body_rootid[model.jnt_bodyid[joints[0]]]
-    for old in range(1, model.nbody):
-        if model.body_rootid[old] != root:
-            continue
-        new = copies[int(model.body_parentid[old])].add_body(
-            pos=model.body_pos[old], quat=model.body_quat[old]
-        )
-        copies[old] = new
-        if model.body_mass[old] > 0.0:
-            new.explicitinertial = True
-            new.mass, new.inertia = model.body_mass[old], model.body_inertia[old]
-            new.ipos, new.iquat = model.body_ipos[old], model.body_iquat[old]
-        first = int(model.body_jntadr[old])
-        for joint in range(first, first + int(model.body_jntnum[old])):
-            if joint in joints:
-                _add_joint(new, model, joint)
+    bodies = np.flatnonzero(model.body_rootid == root).tolist()
+    copies = _copy_bodies(spec, model, bodies, joints)
     if site is not None:
         at = copies[int(model.site_bodyid[site])]
         at.add_site(name="flange", pos=model.site_pos[site], quat=model.site_quat[site])
@@ -508,37 +330,39 @@ def skeleton(
 
 @lru_cache(maxsize=16)
 def _repeated(m: int, *models: mujoco.MjModel) -> mujoco.MjModel:
-    spec = mujoco.MjSpec()
-    spec.compiler.degree = False
-    spec.compiler.balanceinertia = False
+    spec = _bare_spec()
     for model in models * m:
-        copies = {0: spec.worldbody}
-        for old in range(1, model.nbody):
-            parent = copies[int(model.body_parentid[old])]
-            copies[old] = new = parent.add_body(
-                pos=model.body_pos[old],
-                quat=model.body_quat[old],
-                explicitinertial=True,
-                mass=model.body_mass[old],
-                inertia=model.body_inertia[old],
-                ipos=model.body_ipos[old],
-                iquat=model.body_iquat[old],
-            )
-            first = int(model.body_jntadr[old])
-            for joint in range(first, first + int(model.body_jntnum[old])):
-                _add_joint(new, model, joint)
+        _copy_bodies(spec, model, range(1, model.nbody), range(model.njnt))
     return spec.compile()
 
 
-def _add_joint(body: mujoco.MjsBody, model: mujoco.MjModel, joint: int) -> None:
-    body.add_joint(
-        type=mujoco.mjtJoint(int(model.jnt_type[joint])),
-        pos=model.jnt_pos[joint],
-        axis=model.jnt_axis[joint],
-        ref=model.qpos0[model.jnt_qposadr[joint]],
-        armature=model.dof_armature[model.jnt_dofadr[joint]],
-    )
+def _bare_spec() -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.compiler.degree = False
+    spec.compiler.balanceinertia = False
+    return spec
 
 
-def _own_name(name: str) -> str:
-    return name.partition("/")[2] or name
+def _copy_bodies(
+    spec: mujoco.MjSpec, model: mujoco.MjModel, bodies: Collection[int], joints: Collection[int]
+) -> dict[int, mujoco.MjsBody]:
+    copies = {0: spec.worldbody}
+    for old in bodies:
+        copies[old] = new = copies[int(model.body_parentid[old])].add_body(
+            pos=model.body_pos[old], quat=model.body_quat[old]
+        )
+        if model.body_mass[old] > 0.0:
+            new.explicitinertial = True
+            new.mass, new.inertia = model.body_mass[old], model.body_inertia[old]
+            new.ipos, new.iquat = model.body_ipos[old], model.body_iquat[old]
+        first = int(model.body_jntadr[old])
+        for joint in range(first, first + int(model.body_jntnum[old])):
+            if joint in joints:
+                new.add_joint(
+                    type=mujoco.mjtJoint(int(model.jnt_type[joint])),
+                    pos=model.jnt_pos[joint],
+                    axis=model.jnt_axis[joint],
+                    ref=model.qpos0[model.jnt_qposadr[joint]],
+                    armature=model.dof_armature[model.jnt_dofadr[joint]],
+                )
+    return copies

@@ -1,6 +1,6 @@
-"""Target motions: of the joints, and of the flange.
+"""Base classes of target motions of the joints and of the flange, and simple target motions.
 
-Way points, for both, are in `way_points.py`; all kinds by name are in `plan.py`.
+Motions through way points are in `way_points.py`.
 """
 
 from __future__ import annotations
@@ -27,19 +27,12 @@ log = logging.getLogger(__name__)
 Samples = tuple[Array, Array, Array]
 Rows = Annotated[Array | None, of_shape(None, None)]
 
-_SLACK = 1e-9  # of limits, for targets that go just up to them
+_SLACK = 1e-9  # tolerance for targets that just reach a limit
 
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """A target motion of all joints, a row for every time.
-
-    Attributes:
-        times: (T,), s.
-        angles: (T, n), rad or m.
-        velocities: (T, n), per second.
-        accelerations: (T, n), per second squared.
-    """
+    """Samples of a motion of all joints: times (T,), s, and angles and derivatives, (T, n)."""
 
     times: Array
     angles: Array
@@ -47,7 +40,6 @@ class Motion:
     accelerations: Array
 
     def since(self, time: float) -> Motion:
-        """The rows from a time (s) on."""
         rows = self.times >= time
         return Motion(
             self.times[rows], self.angles[rows], self.velocities[rows], self.accelerations[rows]
@@ -56,13 +48,13 @@ class Motion:
 
 @dataclass(frozen=True, eq=False)
 class CartesianMotion:
-    """A target motion of the flange, a row for every time.
+    """Samples of a motion of the flange.
 
     Attributes:
         times: (T,), s.
-        poses: (T, 4, 4), T_world_flange, m.
-        twists: (T, 6), in world axes, m/s, then rad/s.
-        accelerations: (T, 6), in world axes, m/s2, then rad/s2.
+        poses: T_world_flange, (T, 4, 4), m.
+        twists: (T, 6), in world axes: m/s, then rad/s.
+        accelerations: (T, 6), in world axes: m/s2, then rad/s2.
     """
 
     times: Array
@@ -103,14 +95,15 @@ class JointTargetMotion(TargetMotion):
         return self
 
     def sample(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """The motion of a whole run, within the robot's limits.
+        """Returns the motion of a run, and checks that it is within the limits of the robot.
 
         Args:
-            times: (T,), s, rising.
-            start: (n,), rad or m, where it stands at first.
+            times: (T,), s, ascending.
+            start: initial angles, (n,), rad or m.
 
         Raises:
-            DeclarationError: it does not fit the robot, or leaves its limits: by joint and time.
+            DeclarationError: the motion does not fit the robot, or leaves its limits. The error
+                states joint and time.
         """
         motion = self.motion(np.asarray(times, float), robot, np.asarray(start, float))
         if robot.couplings:
@@ -120,7 +113,7 @@ class JointTargetMotion(TargetMotion):
             _warn(warning)
         ramp = getattr(self, "ramp", None)
         if problems and ramp and not beyond_limits(motion.since(ramp), robot):
-            hint = f"; it grows within {ramp:g} s: ramp = {2 * ramp:g} is gentler"
+            hint = f"; only the ramp of {ramp:g} s exceeds it: try ramp = {2 * ramp:g}"
             problems = [replace(each, expected=f"{each.expected}{hint}") for each in problems]
         if problems:
             raise DeclarationError(problems)
@@ -128,19 +121,10 @@ class JointTargetMotion(TargetMotion):
 
     @abstractmethod
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """The motion of a whole run, whose limits are not checked.
-
-        Args:
-            times: (T,), s, rising.
-            start: (n,), rad or m, where it stands at first.
-        """
+        """Returns the motion as `sample` does, without couplings and checks of limits."""
 
     def per_joint(self, key: str, n: int) -> Array:
-        """A field of one number for all joints or of n, as (n,).
-
-        Raises:
-            DeclarationError: it is missing, or has another number of entries.
-        """
+        """Returns a field of 1 or n numbers as (n,); raises DeclarationError if it is missing."""
         value = getattr(self, key)
         degrees = f" or {key}_deg" if key in self.in_degrees else ""
         if value is None:
@@ -148,10 +132,9 @@ class JointTargetMotion(TargetMotion):
         return per_joint(key, value, n)
 
     def rows(self, key: str, n: int) -> Array:
-        """A field of rows of n joint angles, (m, n).
+        """Returns a field of rows of n joint angles, (m, n).
 
-        Raises:
-            DeclarationError: it is missing, empty, or has another number of joints.
+        Raises DeclarationError if it is missing or empty, or has another number of columns.
         """
         value = getattr(self, key)
         if value is None:
@@ -162,13 +145,13 @@ class JointTargetMotion(TargetMotion):
         return np.asarray(value)
 
 
-@cache  # once, however often a motion is sampled
+@cache  # warn once, even if a motion is sampled several times
 def _warn(warning: str) -> None:
     log.warning("target of %s", warning)
 
 
 def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
-    """Where every joint is farthest beyond its position or velocity limits."""
+    """Returns, for each joint beyond its limits, where it exceeds them most."""
     problems = []
     limits, speeds = robot.position_limits, robot.velocity_limits
     for joint, name in enumerate(robot.names):
@@ -182,8 +165,8 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
                 found, of = factor * angles[row], f"{unit} at t = {motion.times[row]:.3f} s"
                 allowed = f"{factor * low:.4g} to {factor * high:.4g} {unit}"
                 if look_like_degrees(robot, motion.angles[row])[joint]:
-                    allowed += "; is it in degrees?"
-                where = f"joint {name} is to be at"
+                    allowed += "; is the target in degrees?"
+                where = f"the target of joint {name} is"
                 problems.append(Problem("", where, found=found, of=of, expected=allowed))
                 continue
         if speeds is not None:
@@ -192,7 +175,7 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
                 row = int(np.argmax(fast))
                 found, of = factor * fast[row], f"{unit}/s at t = {motion.times[row]:.3f} s"
                 allowed = f"up to {factor * speeds[joint]:.4g} {unit}/s"
-                where = f"joint {name} is to move at"
+                where = f"the target velocity of joint {name} is"
                 problems.append(Problem("", where, found=found, of=of, expected=allowed))
     return problems
 
@@ -202,14 +185,14 @@ class CartesianTargetMotion(TargetMotion):
 
     @abstractmethod
     def sample(self, times: Array, start: Array) -> CartesianMotion:
-        """The motion of a whole run.
+        """Returns the motion of a run.
 
         Args:
-            times: (T,), s, rising.
-            start: T_world_flange (4, 4), m, at first.
+            times: (T,), s, ascending.
+            start: initial T_world_flange, (4, 4), m.
 
         Raises:
-            DeclarationError: fields that do not fit each other.
+            DeclarationError: fields contradict each other.
         """
 
 
@@ -217,11 +200,11 @@ _Hertz = Annotated[PerJoint, within(0.0, 1e3, "Hz")]
 
 
 class Constant(JointTargetMotion):
-    """Stands still.
+    """Holds constant joint angles.
 
     Attributes:
-        angles: (n,), rad or m; where the robot starts by default.
-        angles_deg: the same in degrees.
+        angles: rad or m per joint (default: the initial angles).
+        angles_deg: `angles` in degrees.
     """
 
     kind: Literal["constant"] = "constant"
@@ -230,18 +213,17 @@ class Constant(JointTargetMotion):
     in_degrees: ClassVar[tuple[str, ...]] = ("angles",)
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Every row the same."""
         angles = start if self.angles is None else self.per_joint("angles", robot.n)
         still = np.zeros((len(times), robot.n))
         return Motion(times, np.tile(angles, (len(times), 1)), still, still)
 
 
 class CartesianConstant(CartesianTargetMotion):
-    """Stands still.
+    """Holds a constant pose of the flange.
 
     Attributes:
-        pose: T_world_flange, or T_start_flange; where the robot starts by default.
-        relative_to: the `world`, or the flange at its `start`.
+        pose: T_world_flange or T_start_flange (default: the initial pose).
+        relative_to: frame of the pose: `world`, or the initial flange frame (`start`).
     """
 
     kind: Literal["cartesian_constant"] = "cartesian_constant"
@@ -249,25 +231,24 @@ class CartesianConstant(CartesianTargetMotion):
     relative_to: Literal["world", "start"] = "world"
 
     def sample(self, times: Array, start: Array) -> CartesianMotion:
-        """Every row the same."""
         pose = start if self.pose is None else in_world(self.pose, start, self.relative_to)
         still = np.zeros((len(times), 6))
         return CartesianMotion(times, np.tile(pose, (len(times), 1, 1)), still, still)
 
 
 def in_world(pose: Array, start: Array, relative_to: str) -> Array:
-    """T_world_flange of a pose that is relative to the `world` or to the `start`."""
+    """Returns T_world_flange of a pose relative to `world` or `start`."""
     return np.asarray(start @ pose) if relative_to == "start" else pose
 
 
 class Step(JointTargetMotion):
-    """Jumps by an amplitude, for step responses.
+    """Steps by an amplitude, for step responses.
 
     Attributes:
-        amplitude: rad or m per joint, from where the robot starts.
-        amplitude_deg: the same in degrees.
-        time: s, when.
-        duration: s, after which it jumps back; None for never.
+        amplitude: rad or m per joint, relative to the initial angles.
+        amplitude_deg: `amplitude` in degrees.
+        time: time of the step, s.
+        duration: s until the step back (default: no step back).
     """
 
     kind: Literal["step"] = "step"
@@ -278,7 +259,6 @@ class Step(JointTargetMotion):
     in_degrees: ClassVar[tuple[str, ...]] = ("amplitude",)
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Angles only; the jump has no velocity."""
         amplitude = self.per_joint("amplitude", robot.n)
         end = np.inf if self.duration is None else self.time + self.duration
         there = (times >= self.time) & (times < end)
@@ -287,14 +267,14 @@ class Step(JointTargetMotion):
 
 
 class Sine(JointTargetMotion):
-    """Every joint swings about where it starts.
+    """Moves every joint sinusoidally about its initial angle.
 
     Attributes:
         amplitude: rad or m per joint.
-        amplitude_deg: the same in degrees.
+        amplitude_deg: `amplitude` in degrees.
         frequency: Hz per joint.
         phase: rad per joint.
-        ramp: s in which the swing grows from nothing, as a quintic; 0 for at once.
+        ramp: s in which the amplitude grows from zero, as a quintic; 0 for no ramp.
     """
 
     kind: Literal["sine"] = "sine"
@@ -306,7 +286,6 @@ class Sine(JointTargetMotion):
     in_degrees: ClassVar[tuple[str, ...]] = ("amplitude",)
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """The swing times its ramp."""
         n = robot.n
         omega = 2.0 * np.pi * self.per_joint("frequency", n)
         angle = times[:, None] * omega + self.per_joint("phase", n)
@@ -317,15 +296,15 @@ class Sine(JointTargetMotion):
 
 
 class Chirp(JointTargetMotion):
-    """A swing whose frequency rises or falls linearly, for identification.
+    """Moves joints sinusoidally at a frequency that changes linearly, for identification.
 
     Attributes:
         amplitude: rad or m per joint.
-        amplitude_deg: the same in degrees.
+        amplitude_deg: `amplitude` in degrees.
         start_frequency: Hz.
         end_frequency: Hz.
-        duration: s from one to the other; then it rests where it began.
-        ramp: s in which the swing grows at the start and shrinks at the end, as quintics.
+        duration: s of the motion; afterwards the target is the initial angles.
+        ramp: s in which the amplitude grows at the start and shrinks at the end, as quintics.
     """
 
     kind: Literal["chirp"] = "chirp"
@@ -338,7 +317,6 @@ class Chirp(JointTargetMotion):
     in_degrees: ClassVar[tuple[str, ...]] = ("amplitude",)
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """The swing times its ramps."""
         if 2.0 * self.ramp > self.duration:
             raise Problem(
                 "ramp", found=self.ramp, of="s", expected="up to half the duration"
@@ -354,12 +332,12 @@ class Chirp(JointTargetMotion):
 
 
 class Recorded(JointTargetMotion):
-    """A motion as rows of time and angles, interpolated smoothly; before and after it rests.
+    """Follows rows of times and angles, smoothly interpolated; rests before and after them.
 
     Attributes:
-        times: (T,), s, rising.
-        angles: (T, n), rad or m.
-        angles_deg: the same in degrees.
+        times: s, ascending.
+        angles: a row per time, rad or m per joint.
+        angles_deg: `angles` in degrees.
     """
 
     kind: Literal["recorded"] = "recorded"
@@ -379,7 +357,7 @@ class Recorded(JointTargetMotion):
         return times
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Cubic Hermite: through every row, with the velocities of the parabola through three."""
+        # Cubic Hermite splines, with velocities of parabolas through three rows.
         knots, rows = self.times, self.rows("angles", robot.n)
         if len(rows) != len(knots):
             raise Problem(
@@ -402,14 +380,13 @@ class Recorded(JointTargetMotion):
 
 
 def quintic(times: Array, duration: float) -> Samples:
-    """The polynomial of fifth degree that starts and ends without speed and acceleration.
+    """Returns share of the path (0 to 1), speed (1/s) and acceleration (1/s2), (T,) each.
+
+    This is the polynomial of degree five that starts and ends at rest, without acceleration.
 
     Args:
-        times: (T,), s from its start; before it and after its end it rests.
+        times: since the start, (T,), s; at rest before the start and after the end.
         duration: s.
-
-    Returns:
-        way (0 to 1), speed (1/s) and acceleration (1/s2), each (T,).
     """
     u = np.clip(times / duration, 0.0, 1.0)
     rest = 1.0 - u
@@ -428,7 +405,6 @@ def _grown(times: Array, ramp: float) -> Samples:
 def _swinging(
     times: Array, start: Array, amplitude: Array, swing: Samples, ramp: tuple[Any, ...]
 ) -> Motion:
-    """`amplitude` times swing times ramp by the product rule; both with two derivatives."""
     s, ds, dds = swing
     r, dr, ddr = (part[:, None] for part in ramp)
     return Motion(

@@ -1,28 +1,28 @@
 """`TorqueLoop`: the joint torque control between a controller and its motors.
 
-With link inertia M, motor inertia B (as seen at the joint), friction tau_f of motor and gear, and
-the torque tau that the sensor between motor and link reads,
+A motor with inertia B (as seen at the joint), friction tau_f of motor and gear, and joint torque
+tau, measured between motor and link, moves as
 
-    B ddtheta + tau = tau_m - tau_f,
+    B ddtheta + tau = tau_m - tau_f.
 
-the loop turns what the controller commands, u, into motor torques
+The loop converts the commanded torque u of the controller into the motor torque
 
-    tau_m = (B / Bt) (u - T dtau/dt) + (1 - B / Bt) tau + tau_f^
+    tau_m = (B / Bt) (u - T dtau/dt) + (1 - B / Bt) tau + tau_f^.
 
-so that the motor feels as if its inertia were Bt < B, the spring of an elastic joint is damped by
-T, and friction is made up for by what an observer finds of it:
+The motor then moves as if its inertia were Bt < B. T damps the spring of an elastic joint, and
+tau_f^, the friction estimated by an observer, compensates friction:
 
     Bt ddtheta + tau + T dtau/dt = u - (Bt / B) (tau_f - tau_f^)
     d tau_f^ / dt = L (tau_f - tau_f^)
 
-The observer is B ddtheta^ + tau = tau_m - tau_f^ with tau_f^ = -L B (dtheta - dtheta^): it takes
-no accelerations, and tau_f^ is tau_f through a first-order low pass of bandwidth L. The torque is
-read through one as well, whose lag is allowed for in T; where joints are rigid, T = 0, and the
-error tau - u goes through it. Drives saturate last, and the observer knows what they gave.
+The observer is B ddtheta^ + tau = tau_m - tau_f^ with tau_f^ = -L B (dtheta - dtheta^). It needs no
+accelerations: tau_f^ is tau_f after a first-order low pass of bandwidth L. The measured torque also
+passes a low pass, and T compensates its lag. For rigid joints T = 0, and the low pass filters the
+error tau - u. The torque limits of the drives apply last; the observer uses the limited torques.
 
-To the controller the robot has the inertia M + diag(Bt), so its gains are designed with that; with
-it, a stiff joint impedance (`JointPosition`) is position control with full state feedback: of motor
-position, torque, and their derivatives.
+For the controller, the robot has the inertia M + diag(Bt) with link inertia M, and gains are
+designed for it. A stiff joint impedance (`JointPosition`) behind the loop is position control with
+full state feedback: motor position, torque, and their derivatives.
 
 Source: Albu-Schäffer, Ott, Hirzinger, A Unified Passivity-based Control Framework for Position,
 Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007; Le Tien, Albu-Schäffer,
@@ -44,23 +44,24 @@ from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 from .robot_models import RobotModels
 
-# 1/s; what grows more slowly is no matter of the time step. Rounding splits the double eigenvalue
-# of what nothing holds.
+# 1/s. Modes that grow more slowly are not caused by the time step: rounding splits the double
+# eigenvalue of joints without stiffness.
 _SLOW = 0.5
+_MAX_DENSE = 16  # joints; for these, one dense product takes less time than one product per joint
 
 
 @dataclass(frozen=True, eq=False)
 class LoopGains:
-    """What a torque loop does to every joint, (n,) each.
+    """Parameters of a torque loop, (n,) each; see the module for the symbols.
 
     Attributes:
         motor_inertias: B, kg m2 (kg).
-        shaped_inertias: Bt, likewise; what its controller takes for the motors'.
-        bandwidth: of the torque's low pass, 1/s.
+        shaped_inertias: Bt, kg m2 (kg); the motor inertias that the controller assumes.
+        bandwidth: of the low pass of the torque, 1/s.
         damping_time: T, s; 0 for rigid joints.
-        friction_bandwidth: L, 1/s; 0 for no compensation.
-        stiffness: of the elastic joints, Nm/rad (N/m); infinite for rigid ones.
-        damping: in parallel with it, Nm s/rad (N s/m).
+        friction_bandwidth: L, 1/s; 0 for no friction compensation.
+        stiffness: of the elastic joints, Nm/rad (N/m); infinite for rigid joints.
+        damping: in parallel with the stiffness, Nm s/rad (N s/m).
     """
 
     motor_inertias: Array
@@ -73,14 +74,9 @@ class LoopGains:
 
     @classmethod
     def of(cls, control: TorqueControl, dynamics: RobotDynamics, elastic: bool) -> LoopGains:
-        """The gains that are declared, with defaults for those that are not.
+        """Returns the declared gains, with defaults for those that are not declared.
 
-        Args:
-            control: the robot's `[torque_control]`.
-            elastic: whether its joints are.
-
-        Raises:
-            DeclarationError: a motor is to feel heavier than it is, or has no inertia.
+        Raises DeclarationError if a motor has no inertia, or a shaped inertia above its own.
         """
         motors, shaped = dynamics.motor_inertias, control.motor_inertias
         problems = [
@@ -117,17 +113,17 @@ class LoopGains:
 
     @classmethod
     def joined(cls, robots: list[LoopGains]) -> LoopGains:
-        """Those of several robots, joint after joint."""
+        """Returns the gains of several robots as those of one, joint after joint."""
         keys = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(each, key) for each in robots]) for key in keys))
 
-    def felt(self, robot: SerialRobot) -> SerialRobot:
-        """The robot as its controller knows it: with the motors that the loop lets it feel."""
+    def shaped(self, robot: SerialRobot) -> SerialRobot:
+        """Returns the robot with the shaped motor inertias, for its controller."""
         dynamics = robot.dynamics.model_copy(update={"motor_inertias": self.shaped_inertias})
         return robot.model_copy(update={"dynamics": dynamics})
 
     def lighter(self, share: float) -> LoopGains:
-        """Those that shape the motors' inertia by a share of what these do, from 0 (not at all)."""
+        """Returns gains that reduce motor inertias by a share of this reduction; 0 for none."""
         ratio = (self.motor_inertias / self.shaped_inertias) ** share
         shaped = self.motor_inertias / ratio
         time = self.damping_time * np.sqrt(shaped / self.shaped_inertias)
@@ -135,40 +131,45 @@ class LoopGains:
 
 
 class TorqueLoop:
-    """Joint torque control of all joints of m rows of a plant, at the rate of its steps.
+    """Joint torque control of all joints of m rows of a plant, called in every step.
 
     Args:
-        timestep: s between two steps.
-        limits: (n,), torques that the drives can give, Nm or N; infinite where there is no limit.
+        limits: torque limits of the drives, (n,), Nm or N; infinite for no limit.
 
     Attributes:
-        friction: (m, n), Nm or N, what the observer finds of motors' and gears' friction.
-        motor_torques: (m, n), Nm or N, what the drives gave last.
-        sensed: (m, 2, n), velocities of the motors, rad/s or m/s, then what the torque sensors read
-            of the step that led there, Nm or N; to be written before `step`.
+        friction: estimated friction of motors and gears, (m, n), Nm or N.
+        motor_torques: motor torques of the last step, (m, n), Nm or N.
+        sensed: input of `step`, (m, 2, n): motor velocities, rad/s or m/s, and the joint torques
+            measured in the step that led to these velocities, Nm or N.
     """
 
     def __init__(self, gains: LoopGains, timestep: float, limits: Array, m: int = 1) -> None:
         n = len(gains.motor_inertias)
         self.gains, self.timestep = gains, timestep
         self._high, self._low = np.array(limits), -np.array(limits)
-        # By joint: a product of small matrices takes a third of `einsum`.
-        self._coefficients = loop_coefficients(gains, timestep).transpose(2, 0, 1).copy()
         # [motor torques, friction, friction and momentum, filtered torques; u; dtheta, tau]
-        terms: Array = np.zeros((m, n, 7))
-        self._column, self._next = terms[..., None], np.zeros((m, n, 4, 1))
-        self._own: Array = self._column[:, :, :4]
-        self.sensed: Array = terms[..., 5:].swapaxes(1, 2)
+        terms: Array = np.zeros((m, 7, n))
+        coefficients = loop_coefficients(gains, timestep)
+        self._own, self._next = terms[:, :4], np.zeros((m, 4, n))
+        if n <= _MAX_DENSE:
+            dense: Array = np.zeros((7, n, 4, n))
+            dense[:, np.arange(n), :, np.arange(n)] = coefficients.transpose(2, 1, 0)
+            matrix = dense.reshape(7 * n, -1)
+            self._product = terms.reshape(m, -1), matrix, self._next.reshape(m, -1)
+        else:
+            inputs, outputs = (each.swapaxes(1, 2)[:, :, None] for each in (terms, self._next))
+            self._product = inputs, coefficients.transpose(2, 1, 0).copy(), outputs
+        self.sensed: Array = terms[:, 5:]
         self.motor_torques, self.friction, self._momentum, self._filtered, self._commanded = (
-            terms[..., k] for k in range(5)
+            terms[:, k] for k in range(5)
         )
 
     def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
-        """Begins anew, with drives that have held the robot until now.
+        """Resets rows to drives that have held the robot until now.
 
         Args:
-            torques: (k, n), that the sensors read, Nm or N.
-            velocities: (k, n), of the motors, rad/s or m/s.
+            torques: measured joint torques, (k, n), Nm or N.
+            velocities: of the motors, (k, n), rad/s or m/s.
         """
         self.motor_torques[which] = torques
         self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
@@ -176,16 +177,12 @@ class TorqueLoop:
         self._momentum[which] = _momentum_per_velocity(self.gains, self.timestep) * velocities
 
     def command(self, torques: Array) -> None:
-        """Takes what the controllers ask for until the next call, (m, n), Nm or N."""
+        """Sets the commanded torques u, (m, n), Nm or N, which hold until the next call."""
         self._commanded[...] = torques
 
     def step(self, out: Array) -> None:
-        """Takes one step from what is in `sensed`.
-
-        Args:
-            out: (m, n), to be written: torques of the motors in the next step, Nm or N.
-        """
-        np.matmul(self._coefficients, self._column, self._next)
+        """Writes the motor torques of the next step, (m, n), Nm or N, from `sensed`."""
+        np.matmul(*self._product)
         self._own[...] = self._next
         motors = self.motor_torques
         np.minimum(np.maximum(motors, self._low, out=motors), self._high, out=motors)
@@ -193,19 +190,19 @@ class TorqueLoop:
 
 
 class StaticDeflection:
-    """Where the links of elastic joints come to rest, with nothing from outside but what holds.
+    """Computes the resting angles of the links of elastic joints, without external torques.
 
-    With q^ such that K (theta - q^) = l(q^), where l are the torques that the controller commands
-    at rest (gravity and springs), a controller that takes q^ for its angles compensates gravity
-    exactly at rest, and its springs are felt at the links, not in series with the joints. q^ is a
-    function of the motors' angles alone, so it leaves a passive controller passive
-    (Albu-Schäffer, Ott, Hirzinger 2007). The fixed point is a contraction where joints are stiffer
-    than springs and gravity, and goes on from the last step's.
+    These angles q^ satisfy K (theta - q^) = l(q^), where l are the torques that the controller
+    commands at rest (gravity and springs). A controller that uses q^ as joint angles compensates
+    gravity exactly at rest, and its stiffness acts at the links instead of in series with the
+    joints. q^ depends on motor angles only, so a passive controller remains passive
+    (Albu-Schäffer, Ott, Hirzinger 2007). Each step makes one fixed-point iteration, which is a
+    contraction if the joints are stiffer than springs and gravity.
 
     Args:
         stiffness: K, (n,), Nm/rad (N/m).
-        at_rest: l, (n,), Nm or N, to be read at every step; None for gravity.
-        angles: (n,), rad or m, of the links at first; (m, n) of as many rows as the model has.
+        at_rest: l, (n,), Nm or N, an array that is read in every step; None for gravity.
+        angles: initial angles of the links, (n,) or (m, n), rad or m.
     """
 
     def __init__(
@@ -223,12 +220,7 @@ class StaticDeflection:
             at_rest[...] = self._gravity()
 
     def begin(self, which: Bools, angles: Array, motor_angles: Array) -> None:
-        """Begins anew with some of many rows, (m,).
-
-        Args:
-            angles: (n,), rad or m, of their links at first.
-            motor_angles: (m, n), of all rows.
-        """
+        """Resets some rows (m,) to link angles (n,), given the motor angles of all rows, (m, n)."""
         others = self._angles[~which].copy()
         self._angles[which] = angles
         self.link_angles(motor_angles)
@@ -239,11 +231,7 @@ class StaticDeflection:
         return self._model.gravity()
 
     def link_angles(self, motor_angles: Array) -> Array:
-        """q^, (n,), rad or m; the same array every time.
-
-        Args:
-            motor_angles: theta, (n,), rad or m.
-        """
+        """Returns q^ for motor angles theta, always in the same array."""
         torques = self._gravity() if self._at_rest is None else self._at_rest
         np.multiply(torques, self._compliance, out=self._angles)
         return np.subtract(motor_angles, self._angles, out=self._angles)
@@ -255,18 +243,13 @@ def _momentum_per_velocity(gains: LoopGains, timestep: float) -> Array:
 
 
 def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
-    """The linear step of a loop, before drives saturate.
+    """Returns the coefficients (4, 7, n) of the linear step of a loop, without torque limits.
 
-    Args:
-        timestep: s.
-
-    Returns:
-        (4, 7, n), coefficients per joint: to [motor torques, friction, friction + its momentum
-        term, filtered torques] from the same a step before and [commanded torques, motor
-        velocities, measured torques]. The momentum term, b dtheta with
-        b = (1 - exp(-L t)) B / t, lets the observer do without the
-        velocities of the step before; exponentials make both low passes exact for what is constant
-        during a step.
+    For each joint they map [motor torques, friction, friction + its momentum term, filtered
+    torques] of the last step and [commanded torques, motor velocities, measured torques] to the
+    first four of this step. With the momentum term, b dtheta with b = (1 - exp(-L t)) B / t, the
+    observer does not need the velocities of the last step. Exponentials make both low passes exact
+    for inputs that are constant during a step.
     """
     n = len(gains.motor_inertias)
     find = -np.expm1(-gains.friction_bandwidth * timestep)
@@ -277,18 +260,18 @@ def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
     delay = np.where(np.isfinite(gains.stiffness), 1.0 / gains.bandwidth + timestep, 0.0)
     lead = (ratio * gains.damping_time + (ratio - 1.0) * delay) / timestep
     one, none = np.ones(n), np.zeros(n)
-    kept = [find, -find, one, none, none, none, -find]  # find * tau_m - ... of what is remembered
+    observed = [find, -find, one, none, none, none, -find]
     friction = [find, -find, one, none, none, -momentum, -find]
-    # Through rigid joints a step of the command would jump by the ratio of the inertias until the
-    # torque is fed back: there the error is filtered, not the torque.
+    # With rigid joints a step of the command would jump by the ratio of the inertias until the
+    # torque is fed back. Therefore the error is filtered there, instead of the torque.
     rigid = np.where(np.isfinite(gains.stiffness), 0.0, 1.0)
     filtered = [none, none, none, 1.0 - read, -read * rigid, none, read]
-    # (1 - ratio) f+ - lead (f+ - f), where f+ is what is filtered after this step
+    # (1 - ratio) f+ - lead (f+ - f), where f+ is the filtered torque after this step
     before = (1.0 - ratio) * (1.0 - read) + lead * read
     now = (1.0 - ratio) * read - lead * read
-    ahead = np.where(rigid, 1.0 - now, ratio)
-    motors = [friction[0], friction[1], friction[2], before, ahead, friction[5], friction[6] + now]
-    return np.array([motors, friction, kept, filtered])
+    command = np.where(rigid, 1.0 - now, ratio)
+    motors = [*friction[:3], before, command, friction[5], friction[6] + now]
+    return np.array([motors, friction, observed, filtered])
 
 
 def unstable_loop(
@@ -299,16 +282,17 @@ def unstable_loop(
     damping: Array | None = None,
     steps: int = 1,
 ) -> int | None:
-    """The joint that moves most in an unstable mode of robot, torque loop and controller, or None.
+    """Returns the joint that moves most in an unstable mode of the closed loop, or None.
 
-    The robot is linear about a pose and moves as MuJoCo's semi-implicit Euler moves it (springs
-    taken at the start of a step, their damping at its end); the controller's torques are held.
+    The robot is linearized about a pose and steps as with MuJoCo's semi-implicit Euler integrator:
+    springs are evaluated at the start of a step, their damping at its end. The torques of the
+    controller are held for `steps` steps.
 
     Args:
-        mass: (n, n), of the links, without the motors.
-        timestep: s of the loop and of the physics.
-        stiffness: (n, n), of the controller: what its torques fall by with the motors' angles.
-        damping: (n, n), likewise with their velocities.
+        mass: of the links, without the motors, (n, n).
+        timestep: of the loop and of the physics, s.
+        stiffness: of the controller, with respect to the motor angles, (n, n).
+        damping: of the controller, with respect to the motor velocities, (n, n).
     """
     n = len(mass)
     loop: Array = np.zeros((4, n, 7, n))
@@ -348,10 +332,10 @@ def unstable_loop(
     control[u, u] = 0.0
     if stiffness is not None and damping is not None:
         control[u, angle], control[u, velocity] = -stiffness, -damping
-    else:  # nothing depends on the angles, which drift: a double eigenvalue of one
-        kept = np.delete(np.arange(size), angle)
-        whole, control = whole[np.ix_(kept, kept)], control[np.ix_(kept, kept)]
-    values, vectors = np.linalg.eig(whole @ control)  # `velocity` stands before what was left out
+    else:  # nothing depends on the angles, which would add a double eigenvalue of one
+        rest = np.delete(np.arange(size), angle)
+        whole, control = whole[np.ix_(rest, rest)], control[np.ix_(rest, rest)]
+    values, vectors = np.linalg.eig(whole @ control)  # indices of `velocity` are the same
     worst = int(np.argmax(np.abs(values)))
     if np.abs(values[worst]) <= 1.0 + _SLOW * timestep * steps:
         return None

@@ -1,7 +1,7 @@
-"""Target motions through way points: straight lines from rest to rest, of the joints or the flange.
+"""Target motions through way points, along straight lines, of the joints or of the flange.
 
-All joints, and all six directions of the flange, share a time law (the share of the way, 0 to 1,
-over time): they start and arrive together.
+All joints, or all six directions of the flange, share one time scaling (the share of the path, 0 to
+1, over time): they start and arrive together, and rest at each way point.
 
 Source: Siciliano, Sciavicco, Villani, Oriolo 2009, Robotics: Modelling, Planning and Control, 4.2.
 """
@@ -33,10 +33,10 @@ from .target_motions import (
 
 TimeScaling = Literal["quintic", "trapezoidal"]
 
-_QUINTIC_SPEED = 15.0 / 8.0  # its greatest speed, for a way of one in a time of one
-_QUINTIC_ACCELERATION = 10.0 / np.sqrt(3.0)
-_THIRD = 1.0 / 3.0  # of the time a trapezoid speeds up where nothing else says how long
-_NOTHING = 1e-12  # s; shorter ways count as none
+# Maximum speed and acceleration of a quintic from 0 to 1 in 1 s.
+_QUINTIC_SPEED, _QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / np.sqrt(3.0)
+_THIRD = 1.0 / 3.0  # share of the duration in which a trapezoid accelerates, without a limit
+_ZERO = 1e-12  # rad or m: rounding
 
 
 def _rising(times: Array | None) -> Array | None:
@@ -44,7 +44,7 @@ def _rising(times: Array | None) -> Array | None:
         if not len(times) or times[0] < 0:
             raise Problem(found=times.tolist(), expected="times from 0 s on").error()
         if (np.diff(times) <= 0).any():
-            raise Problem(found=times.tolist(), expected="times that rise").error()
+            raise Problem(found=times.tolist(), expected="ascending times").error()
     return times
 
 
@@ -72,24 +72,24 @@ def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]
         times = np.hstack([0.0, times])
     elif len(points) > 2:
         points = points[1:]
-    else:  # it stays there
+    else:  # it remains there
         points, times = points[[1, 1]], np.array([0.0, 1.0])
     return points, times[:-1], np.diff(times)
 
 
 class WayPoints(JointTargetMotion):
-    """Goes to one point after the other; all joints start and arrive together.
+    """Moves to one way point after the other; all joints start and arrive together.
 
-    Either `times` say when it arrives, or it goes as fast as `speed` allows.
+    Exactly one of `times` and `speed` must be given.
 
     Attributes:
-        way_points: (m, n), rad or m.
-        way_points_deg: the same in degrees.
-        times: (m,), s, when it arrives; a first of 0 is where it starts.
-        speed: share of the robot's velocity limits, 0 to 1.
-        accelerations: rad/s2 or m/s2 per joint; the robot's `acceleration_limits` by default.
-        time_law: `quintic` (no jumps in acceleration) or `trapezoidal` (faster).
-        dwell: s at each point, where there are no `times`.
+        way_points: a row per way point, rad or m per joint.
+        way_points_deg: `way_points` in degrees.
+        times: arrival time at each way point, s. If the first is 0, the motion starts there.
+        speed: share of the velocity limits of the robot, 0 to 1.
+        accelerations: rad/s2 or m/s2 per joint (default: `acceleration_limits` of the robot).
+        time_law: `quintic` (continuous acceleration) or `trapezoidal` (faster).
+        dwell: s of rest at each way point; only with `speed`.
     """
 
     kind: Literal["way_points"] = "way_points"
@@ -108,7 +108,6 @@ class WayPoints(JointTargetMotion):
         return self
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Straight lines in joint space."""
         points = np.vstack([start, self.rows("way_points", robot.n)])
         if self.times is not None:
             points, starts, durations = _timed(points, self.times, "way point")
@@ -133,7 +132,7 @@ class WayPoints(JointTargetMotion):
         rates = self._accelerations(robot)
         for line, start, duration in zip(lines, starts, durations, strict=True):
             try:
-                blends.append(trapezoid_blend(duration, _room(line, rates)))
+                blends.append(trapezoid_blend(duration, _path_limit(line, rates)))
             except ValueError as error:
                 joint = robot.names[int(np.argmax(_shares(line, rates)))]
                 when = f"to arrive at t = {start + duration:.3f} s"
@@ -148,9 +147,9 @@ class WayPoints(JointTargetMotion):
             hint = "times" if limits is None else "accelerations"
             message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
             raise Problem("speed", message).error()
-        speeds = np.array([_room(line, float(self.speed or 1.0) * limits) for line in lines])
-        shares = np.array([_room(line, rates) for line in lines])
-        return _schedule(speeds, shares, self.time_law, self.dwell)
+        speeds = np.array([_path_limit(line, float(self.speed or 1.0) * limits) for line in lines])
+        path_rates = np.array([_path_limit(line, rates) for line in lines])
+        return _schedule(speeds, path_rates, self.time_law, self.dwell)
 
     def _accelerations(self, robot: SerialRobot) -> Array | None:
         if self.accelerations is not None:
@@ -162,27 +161,27 @@ def _shares(line: Array, limits: Array | None) -> Array:
     return np.zeros(len(line)) if limits is None else np.abs(line) / limits
 
 
-def _room(line: Array, limits: Array | None) -> float:
-    """The limit on the way (0 to 1) that the joint with the least room sets; inf for none."""
-    most = float(_shares(line, limits).max())
-    return 1.0 / most if most > _NOTHING else np.inf
+def _path_limit(line: Array, limits: Array | None) -> float:
+    """Returns the limit of the path (0 to 1) due to the limits of all joints; inf for none."""
+    largest = float(_shares(line, limits).max())
+    return 1.0 / largest if largest > _ZERO else np.inf
 
 
 class CartesianWayPoints(CartesianTargetMotion):
-    """Goes to one pose after the other, from rest to rest.
+    """Moves the flange to one pose after the other, and rests at each pose.
 
-    Either `times` say when it arrives, or it goes as fast as the speeds and accelerations allow.
+    Exactly one of `times` and `speed` must be given.
 
     Attributes:
         poses: frames of the flange: 4x4, or `{ xyz = [...], rpy_deg = [...] }`.
-        relative_to: the `world`, or the flange at its `start`.
-        times: s, when it arrives at each; a first of 0 is where it starts.
-        speed: m/s.
-        angular_speed: rad/s.
-        acceleration: m/s2.
-        angular_acceleration: rad/s2.
-        time_law: `quintic` or `trapezoidal`; at times always quintic.
-        dwell: s at each pose, where there are no `times`.
+        relative_to: frame of the poses: `world`, or the initial flange frame (`start`).
+        times: arrival time at each pose, s. If the first is 0, the motion starts there.
+        speed: maximum speed, m/s.
+        angular_speed: maximum angular speed, rad/s; only with `speed`.
+        acceleration: maximum acceleration, m/s2; only with `speed`.
+        angular_acceleration: maximum angular acceleration, rad/s2; only with `speed`.
+        time_law: `quintic` or `trapezoidal`; with `times` always quintic.
+        dwell: s of rest at each pose; only with `speed`.
     """
 
     kind: Literal["cartesian_way_points"] = "cartesian_way_points"
@@ -202,7 +201,7 @@ class CartesianWayPoints(CartesianTargetMotion):
         return self
 
     def sample(self, times: Array, start: Array) -> CartesianMotion:
-        """Straight lines; the flange turns about one axis that stays (slerp, Shoemake 1985)."""
+        # Rotations about a constant axis (slerp, Shoemake 1985).
         poses = (in_world(pose, start, self.relative_to) for pose in self.poses)
         frames: Array = np.array([start, *poses])
         blends: Array | None = None
@@ -229,12 +228,11 @@ class CartesianWayPoints(CartesianTargetMotion):
 
 
 def _over(limit: float, lengths: Array) -> Array:
-    """How much of each way there is room for in a second; inf for ways of no length."""
-    return np.where(lengths > 1e-12, limit / np.maximum(lengths, 1e-12), np.inf)
+    return np.where(lengths > _ZERO, limit / np.maximum(lengths, _ZERO), np.inf)
 
 
 def _turn(a: Array, b: Array) -> Array:
-    """Rotation vector (3,), rad, in a's axes, that turns a (4, 4) to b the short way."""
+    """Returns the shortest rotation vector (3,), rad, from frame a to b, in axes of a."""
     quaternion, vector = np.zeros(4), np.zeros(3)
     mujoco.mju_mat2Quat(quaternion, (a[:3, :3].T @ b[:3, :3]).reshape(9))
     mujoco.mju_quat2Vel(vector, quaternion, 1.0)
@@ -242,7 +240,7 @@ def _turn(a: Array, b: Array) -> Array:
 
 
 def _rotations(vectors: Array) -> Array:
-    """Rotations (T, 3, 3) by rotation vectors (T, 3), rad (Rodrigues)."""
+    """Returns rotations (T, 3, 3) for rotation vectors (T, 3), rad (Rodrigues' formula)."""
     angles = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.maximum(angles, 1e-300)[:, None]).T
     zero = np.zeros_like(x)
@@ -252,15 +250,14 @@ def _rotations(vectors: Array) -> Array:
 
 
 def trapezoid(times: Array, duration: float, blend: float) -> Samples:
-    """Constant acceleration, constant speed, constant deceleration.
+    """Returns share of the path (0 to 1), speed (1/s) and acceleration (1/s2), (T,) each.
+
+    Acceleration, speed and deceleration are constant.
 
     Args:
-        times: (T,), s from its start; before it and after its end it rests.
+        times: since the start, (T,), s; at rest before the start and after the end.
         duration: s.
-        blend: s of speeding up, and of slowing down; at most half the duration.
-
-    Returns:
-        way (0 to 1), speed (1/s) and acceleration (1/s2), each (T,).
+        blend: s of acceleration and of deceleration, each at most half the duration.
     """
     speed = 1.0 / (duration - blend)
     rate = speed / blend
@@ -276,16 +273,14 @@ def trapezoid(times: Array, duration: float, blend: float) -> Samples:
 
 
 def quintic_duration(speed: float, acceleration: float) -> float:
-    """Shortest duration, s, of a quintic way of one within speed (1/s) and acceleration (1/s2)."""
+    """Returns the shortest duration, s, of a quintic within speed, 1/s, and acceleration, 1/s2."""
     return float(max(_QUINTIC_SPEED / speed, np.sqrt(_QUINTIC_ACCELERATION / acceleration), 0.0))
 
 
 def trapezoid_duration(speed: float, acceleration: float) -> tuple[float, float]:
-    """Shortest duration and blend, s, of a trapezoidal way of one within the limits.
+    """Returns the shortest duration and its blend, s, of a trapezoid within the limits.
 
-    Args:
-        speed: 1/s; not reached where the way is too short for it.
-        acceleration: 1/s2.
+    The speed, 1/s, is not reached if the acceleration, 1/s2, is too low.
     """
     if speed**2 >= acceleration:
         blend = float(1.0 / np.sqrt(acceleration))
@@ -294,16 +289,16 @@ def trapezoid_duration(speed: float, acceleration: float) -> tuple[float, float]
 
 
 def trapezoid_blend(duration: float, acceleration: float) -> float:
-    """Blend, s, with which a way of one takes the duration; a third of it with an infinite one.
+    """Returns the blend, s, with which a trapezoid of an acceleration, 1/s2, takes the duration.
 
-    Raises:
-        ValueError: the acceleration (1/s2) is too low for the duration.
+    With an infinite acceleration it is a third of the duration. Raises ValueError if the
+    acceleration is too low.
     """
     if not np.isfinite(acceleration):
         return duration * _THIRD
-    least = 4.0 / duration**2
-    if acceleration < least * (1.0 - 1e-9):
-        raise ValueError(f"{least / acceleration:.3g} times the acceleration would be needed")
+    needed = 4.0 / duration**2
+    if acceleration < needed * (1.0 - 1e-9):
+        raise ValueError(f"{needed / acceleration:.3g} times the acceleration would be needed")
     root = np.sqrt(max(duration**2 - 4.0 / acceleration, 0.0))
     return float((duration - root) / 2.0)
 
@@ -311,12 +306,9 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 def _schedule(
     speeds: Array, rates: Array, time_law: TimeScaling, dwell: float
 ) -> tuple[Array, Array, Array | None]:
-    """Starts, durations and, for trapezoids, blends of ways, as fast as is allowed, (m,) each, s.
+    """Returns shortest starts, durations and, for trapezoids, blends of lines, (m,) each, s.
 
-    Args:
-        speeds: (m,), 1/s; infinite where there is no way to go.
-        rates: (m,), 1/s2; likewise.
-        dwell: s between two.
+    Maximum speeds, 1/s, and accelerations, 1/s2, are infinite for lines of zero length.
     """
     durations, blends = np.zeros((2, len(speeds)))
     for way, (speed, rate) in enumerate(zip(speeds, rates, strict=True)):
@@ -333,13 +325,9 @@ def _schedule(
 def _along(
     times: Array, starts: Array, durations: Array, blends: Array | None
 ) -> tuple[Ints, Array, Array, Array]:
-    """Index of the way (T,), and way, speed and acceleration on it, (T,) each, with rests between.
+    """Returns index of the line, share of the line, speed and acceleration, (T,) each.
 
-    Args:
-        times: (T,), s.
-        starts: (m,), s, when each way begins; rising.
-        durations: (m,), s.
-        blends: (m,), s, of trapezoids; None for quintics.
+    Starts (ascending), durations and blends (None for quintics), (m,) each, are in seconds.
     """
     index = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, None)
     samples = np.zeros((3, len(times)))

@@ -49,7 +49,7 @@ class Library(ControllerDeclaration):
         first_patience: maximum time to start the process and load the library, s.
     """
 
-    may_be_asked: ClassVar[bool] = False
+    may_be_probed: ClassVar[bool] = False
     title: ClassVar[str] = "library"
     order: ClassVar[int] = 60
 

@@ -62,7 +62,7 @@ class Reachable(ControllerDeclaration):
         first_patience: maximum time to wait for the first answer, s.
     """
 
-    may_be_asked: ClassVar[bool] = False
+    may_be_probed: ClassVar[bool] = False
 
     host: str = "127.0.0.1"
     port: int = Field(0, ge=0, le=65535)

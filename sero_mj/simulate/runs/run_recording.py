@@ -71,7 +71,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     path = Path(path)
     topics = None
     if scene is not None:
-        scene = look_into(path).lead(scene, source)
+        scene = look_into(path).move_robot(scene, source)
         topics = topics_of(scene)
     with _opened(path, topics) as recording:
         names = _chosen(recording, source)

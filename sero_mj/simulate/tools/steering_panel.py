@@ -96,11 +96,11 @@ class SteeringPanel:
 
     def _slider(self, ui: Widgets, name: str, slider: Slider) -> None:
         ui.width(_SLIDER)
-        moved, value = ui.slide(slider.label, slider.value, 0.0, slider.most, slider.text)
+        moved, value = ui.slide(slider.label, slider.value, 0.0, slider.maximum, slider.text)
         if slider.tip:
             ui.tip(slider.tip)
         if moved:
-            self._change(name, slider.fields(value), slider.words)
+            self._change(name, slider.fields(value), slider.describe)
 
     def _change(
         self, name: str, values: dict[str, Any], text: Callable[[Mapping[str, Any]], str]

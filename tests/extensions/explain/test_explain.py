@@ -97,7 +97,7 @@ def swing(fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False
     return simulated_swing(fault, load, seed, loop).log
 
 
-def told(log: RunLog) -> list[Explanation]:
+def explanations_of(log: RunLog) -> list[Explanation]:
     return explain_run(log, "lwr")
 
 
@@ -129,7 +129,7 @@ def test_run_without_a_fault_has_no_explanation(seed: int, loop: bool) -> None:
 def test_fault_is_identified_with_its_joint_size_and_time(
     fault: dict[str, Any], kind: str, part: str, size: float | None, tolerance: float
 ) -> None:
-    first, *_ = told(swing(json.dumps({**fault, "joints": ["A2"]})))
+    first, *_ = explanations_of(swing(json.dumps({**fault, "joints": ["A2"]})))
     assert (first.joint, first.kind, first.part) == ("A2", kind, part), first
     assert first.begin == pytest.approx(BEGIN, abs=0.11)
     assert not first.from_start
@@ -143,7 +143,7 @@ def test_payload_is_found_from_all_joints_with_its_center_and_end() -> None:
     load = {"kind": "payload", "robot": "lwr", "mass": 2.5, "end": 2.1,
             "center_of_mass": [0.02, -0.03, 0.1]}  # fmt: skip
     for loop in (False, True):
-        (found,) = told(swing(load=json.dumps(load), loop=loop))
+        (found,) = explanations_of(swing(load=json.dumps(load), loop=loop))
         assert (found.joint, found.kind, found.unit) == (FLANGE, "payload", "kg")
         assert found.size == pytest.approx(2.5, abs=0.03)
         assert [found.values[axis] for axis in "xyz"] == pytest.approx([0.02, -0.03, 0.1], abs=0.01)
@@ -158,7 +158,7 @@ def test_deviating_masses_are_not_a_payload(loop: bool) -> None:
     # The robot is 10 % heavier than declared.
     scale = {"mass_scale": robot.dynamics.mass_scale / 1.1}
     declared = robot.model_copy(update={"dynamics": robot.dynamics.model_copy(update=scale)})
-    (found,) = told(replace(log, robots={"lwr": declared}))
+    (found,) = explanations_of(replace(log, robots={"lwr": declared}))
     assert (found.joint, found.kind, found.part) == (LINKS, "masses", "links")
     assert found.size == pytest.approx(10.0, abs=0.1) and found.unit == "%"
     assert found.from_start and found.end is None and found.confidence > 0.9
@@ -170,7 +170,7 @@ def test_deviating_masses_are_not_a_payload(loop: bool) -> None:
 def test_drive_with_wrong_sign_is_identified_although_its_loop_diverges(joint: str) -> None:
     log = swing(json.dumps({"kind": "controller", "gain": -1.0, "joints": [joint]}), loop=True)
     assert log.times[-1] < BEGIN + 0.3
-    found, *_ = [each for each in told(log) if each.joint == joint]
+    found, *_ = [each for each in explanations_of(log) if each.joint == joint]
     assert (found.kind, found.part) == ("sign", "drive")
     assert found.begin == pytest.approx(BEGIN, abs=0.05)
 
@@ -202,7 +202,7 @@ def test_drive_bias_of_twice_the_gravity_torque_is_not_a_wrong_sign(
     k = swing().robots["lwr"].names.index(joint)
     # The commands are its opposite.
     bias = share * float(swing().of("lwr", "torques")[-200:, k].mean())
-    (found,) = told(with_drive(joint, lambda t, u: u + bias * (t >= BEGIN)))
+    (found,) = explanations_of(with_drive(joint, lambda t, u: u + bias * (t >= BEGIN)))
     assert (found.joint, found.kind, found.part) == (joint, "bias", "drive")
     assert found.size == pytest.approx(bias, rel=0.01)
 
@@ -220,7 +220,7 @@ def test_drive_delay_is_identified_also_when_the_arm_oscillates(
         late.append(torque)
         return late[0] if time >= begin else torque
 
-    (found,) = told(with_drive(joint, drive, stiffness=400, duration=3.0))
+    (found,) = explanations_of(with_drive(joint, drive, stiffness=400, duration=3.0))
     assert (found.joint, found.kind, found.part) == (joint, "delay", "drive")
     assert found.size == pytest.approx(delay, abs=0.002)
     assert found.begin == pytest.approx(begin, abs=0.11)
@@ -236,7 +236,7 @@ def test_packets_in_bursts_are_not_a_contact(fault: dict[str, Any], tmp_path: Pa
     number = np.arange(len(log.times))
     arrivals = 1e-3 * (size * (number // size + 1) - 1) + 8e-6 * (number % size)
     path = record_packets(tmp_path / "held.mcap", "7F7F7F", rows, arrivals, {"scene.toml": LATE})
-    found = [(each.joint, each.kind) for each in told(read_run(path))]
+    found = [(each.joint, each.kind) for each in explanations_of(read_run(path))]
     assert found == ([("A2", "bias")] if fault else [])
 
 
@@ -253,7 +253,7 @@ def test_frozen_sensor_outside_the_compared_time_is_not_reported() -> None:
 def test_several_faults_are_distinguished() -> None:
     fault = json.dumps({"kind": "sensor", "bias": 5.0, "joints": ["A3"]})
     load = json.dumps({"kind": "payload", "robot": "lwr", "mass": 2.0, "begin": 1.9})
-    found = {(each.joint, each.kind): each for each in told(swing(fault, load))}
+    found = {(each.joint, each.kind): each for each in explanations_of(swing(fault, load))}
     assert set(found) == {("A3", "bias"), (FLANGE, "payload")}
     assert found["A3", "bias"].size == pytest.approx(5.0, abs=0.1)
     assert found[FLANGE, "payload"].size == pytest.approx(2.0, abs=0.05)
@@ -263,7 +263,7 @@ def test_several_faults_are_distinguished() -> None:
 def test_push_is_not_a_fault_of_the_robot() -> None:
     push = {"kind": "force", "at": "lwr/flange", "force": [0, 25, 0], "end": 2.2,
             "profile": "half_sine"}  # fmt: skip
-    found = told(swing(load=json.dumps(push)))
+    found = explanations_of(swing(load=json.dumps(push)))
     assert {"A1", "E1"} <= {each.joint for each in found if each.kind == "unexplained"}
     assert FLANGE not in {each.joint for each in found}
 
@@ -458,7 +458,7 @@ def test_explain_reports_an_explanation_for_every_joint(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (["B.mcap", "--against-model"], "--against-model: found a second recording; expected one"),
         (["--offset", "1"], "--offset cannot be combined with a single recording"),
@@ -466,10 +466,10 @@ def test_explain_reports_an_explanation_for_every_joint(
     ],
 )
 def test_incompatible_options_are_rejected(
-    recorded: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+    recorded: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
     assert command(recorded, *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_too_little_data_is_an_error() -> None:

@@ -273,7 +273,7 @@ def test_several_recordings_have_one_row_each(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "expected"),
     [
         (
             ["--table", "x.csv", "--plot", "x.pdf"],
@@ -287,11 +287,11 @@ def test_several_recordings_have_one_row_each(
     ],
 )
 def test_invalid_arguments_are_rejected(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], said: str
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: list[str], expected: str
 ) -> None:
     recording = record_run(simulated(), tmp_path / "run.mcap")
     assert command(recording, *arguments) == 2
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_runs_without_torques_or_motion_are_rejected() -> None:
@@ -302,8 +302,8 @@ def test_runs_without_torques_or_motion_are_rejected() -> None:
     ):
         identify(RunLog(log.robots, angles, log.times, "silent"), "lwr")
     still = {**log.signals, "lwr_joint_angles": np.tile(HOME, (len(log.times), 1))}
-    told = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
-    with raises_with(UsageError, key="still", **told):
+    expected = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
+    with raises_with(UsageError, key="still", **expected):
         identify(RunLog(log.robots, still, log.times, "still"), "lwr")
 
 

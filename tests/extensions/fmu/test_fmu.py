@@ -138,7 +138,7 @@ def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> 
 @pytest.mark.parametrize(
     ("names", "settings", "key", "said"),
     [
-        (["q", *GROUPS[1:]], {}, "inputs", "found 'q'"),
+        (["q", *GROUPS[1:]], {}, "inputs", "'q'"),
         (None, {"inputs": {"angels": "angles"}}, "inputs.angels", "did you mean 'angles'"),
         (None, {"output": "tau"}, "output", "the outputs torques"),
         (
@@ -147,8 +147,8 @@ def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> 
             "parameters.stifness",
             "did you mean 'stiffness'",
         ),
-        (None, {"file": "none.fmu"}, "file", "no file"),
-        (None, {"file": "scenario.toml"}, "file", "is no FMU"),
+        (None, {"file": "none.fmu"}, "file", "none.fmu"),
+        (None, {"file": "scenario.toml"}, "file", "not an FMU"),
     ],
 )
 def test_units_that_do_not_fit_are_told(
@@ -168,7 +168,7 @@ def test_units_that_do_not_fit_are_told(
         (2, 'name="torques[1]"', 'name="torques"', "output", "found 1 number in variable torques"),
         (2, 'name="angles[1]"', 'name="angles"', "inputs.angles", "found 1 number in variable"),
         (3, 'causality="output"><Dimension start="7"/>', 'causality="output">', "output",
-         "found 1 number in variable torques of the unit; expected 7"),
+         "found 1 number in variable torques of the FMU; expected 7"),
         (3, '<Dimension start="7"/></Float64></M', '<Dimension start="6"/></Float64></M', "output",
          "found 6 numbers in variable torques"),
         (3, 'start="0 0 0 0 0 0 0"><Dimension start="7"/></Float64><Float64 name="v',
@@ -194,7 +194,7 @@ def test_variables_must_have_a_number_per_joint(
 
 @pytest.mark.parametrize(
     ("failing", "said"),
-    [("FMU_FAIL", "cannot be initialised"), ("FMU_STEP_FAIL", "fmi2DoStep")],
+    [("FMU_FAIL", "cannot be initialized"), ("FMU_STEP_FAIL", "fmi2DoStep")],
 )
 def test_units_that_fail_end_the_run(
     folder: Path, failing: str, said: str, monkeypatch: pytest.MonkeyPatch

@@ -232,9 +232,9 @@ def test_action_that_is_not_finite_names_the_joint_and_moves_nothing(
     before = environment.data.qpos.copy()
     action = np.zeros(7)
     action[environment.robot.names.index(joint)] = bad
-    told = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
+    expected = {"joint": f"lwr/{joint}", "found": bad, "expected": "-100 to 100 Nm"}
     reason = f"found an action of {bad}; expected -100 to 100 Nm"
-    with raises_with(SimulationError, time=pytest.approx(0.02), reason=reason, **told):
+    with raises_with(SimulationError, time=pytest.approx(0.02), reason=reason, **expected):
         environment.step(action)
     np.testing.assert_array_equal(environment.data.qpos, before)
     assert environment.step(np.zeros(7)).mid()

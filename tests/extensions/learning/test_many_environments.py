@@ -140,9 +140,9 @@ def test_invalid_action_moves_no_environment() -> None:
     before = [lane.plant.physics.qpos.copy() for lane in envs.many.lanes]
     actions = np.zeros((3, 7))
     actions[2, 1] = np.nan
-    told = {"found": np.nan, "of": "in environment 2", "expected": "-176 to 176 Nm"}
+    expected = {"found": np.nan, "of": "in environment 2", "expected": "-176 to 176 Nm"}
     reason = "found an action of nan in environment 2; expected -176 to 176 Nm"
-    with raises_with(SimulationError, time=0.0, joint="lwr/A2", reason=reason, **told):
+    with raises_with(SimulationError, time=0.0, joint="lwr/A2", reason=reason, **expected):
         envs.step(actions)
     with raises_with(key="action", reason="found 2 x 7", expected="3 x 7 numbers, one per joint"):
         envs.step(np.zeros((2, 7)))

@@ -76,21 +76,21 @@ def test_camera_is_found_from_exact_points(lens: str, points: Array) -> None:
 @pytest.mark.thorough
 def test_noise_of_a_pixel_causes_the_reported_errors(points: Array) -> None:
     by = camera("barrel", (1280, 800))
-    off, told = [], []
+    off, reported = [], []
     for seed in range(10):
         noise = np.random.default_rng(seed).normal(0, 1.0, (len(points), 2))
         pixels = by.project(points)[0] + noise
         found = calibrate(NAMES, points, pixels, bare(by), find_focal=False)
         T = found.camera.T_world_camera
         off.append(T[:3, 3] - by.T_world_camera[:3, 3])
-        told.append(found.position_error)
+        reported.append(found.position_error)
         assert rotation_angle(T[:3, :3].T @ by.T_world_camera[:3, :3]) < 0.02
         assert 0.4 < found.rms < 2.5
     spread = np.sqrt(np.mean(np.square(off), axis=0))
-    assert np.all(spread < 2.0 * np.mean(told, axis=0)) and np.all(
-        spread > 0.4 * np.mean(told, axis=0)
+    assert np.all(spread < 2.0 * np.mean(reported, axis=0)) and np.all(
+        spread > 0.4 * np.mean(reported, axis=0)
     )
-    print(f"1 pixel: {1e3 * spread} mm, told {1e3 * np.mean(told, axis=0)} mm")
+    print(f"1 pixel: {1e3 * spread} mm, told {1e3 * np.mean(reported, axis=0)} mm")
 
 
 def test_wrong_points_are_named_and_excluded(points: Array) -> None:
@@ -161,13 +161,13 @@ def test_impossible_calibrations_are_rejected(points: Array) -> None:
         "reason": "base would be behind the camera",
         "expected": "points in the photo, with their correct names",
     }
-    for wrong, told in (
+    for wrong, expected in (
         (mixed, unseen),
         (np.tile(pixels[:1], (len(pixels), 1)), unseen),
         (random, unseen),
         (random[:4], behind),
     ):
-        with raises_with(UsageError, **told):
+        with raises_with(UsageError, **expected):
             count = len(wrong)
             calibrate(NAMES[:count], points[:count], wrong, bare(by), find_focal=False)
 

@@ -252,7 +252,7 @@ def main_ok(arguments: list[str]) -> None:
     assert ended.value.code == 0
 
 
-def told(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
+def error_of(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> str:
     with pytest.raises(SystemExit) as ended:
         main(arguments)
     assert ended.value.code == 2
@@ -304,7 +304,7 @@ def test_invalid_options_are_rejected(
 ) -> None:  # fmt: skip
     monkeypatch.chdir(files)
     output = [] if "-o" in options.split() else ["-o", "o.png"]
-    assert f"sero-mj: {message}" in told(["render", "lwr", *output, *options.split()], capsys)
+    assert f"sero-mj: {message}" in error_of(["render", "lwr", *output, *options.split()], capsys)
 
 
 def test_live_robot_cannot_be_combined_with_a_video(
@@ -312,7 +312,7 @@ def test_live_robot_cannot_be_combined_with_a_video(
 ) -> None:
     monkeypatch.chdir(files)
     line = ["render", "lwr_udp", "-o", "o.mp4", "--over", "v.mp4", "--camera-file", "c.toml"]
-    assert "v.mp4: live sources cannot be combined with a video; use a recording" in told(
+    assert "v.mp4: live sources cannot be combined with a video; use a recording" in error_of(
         line, capsys
     )
 

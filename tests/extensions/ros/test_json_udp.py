@@ -14,7 +14,7 @@ from polling import until
 
 from sero_mj.base.errors import SourceError
 from sero_mj.cli.send import SinkOptions, make_sink
-from sero_mj.data.receive.routed_joints import RoutedJoint
+from sero_mj.data.receive.source import RoutedJoint
 from sero_mj.extensions.ros.json_messages import joint_state_of
 from sero_mj.extensions.ros.json_udp import JsonUdp
 from sero_mj.extensions.ros.messages import MalformedMessage
@@ -69,7 +69,7 @@ def test_joints_are_matched_by_their_names(hand: JsonUdp) -> None:
         ({"name": ["1"], "position": ["x"]}, "position is not a list of numbers"),
         ({"name": ["1"], "position": 1}, "position is not a list of numbers"),
         ({"name": ["1"], "position": [10**400]}, "position is not a list of numbers"),
-        ({"name": ["1"], "position": [1, 2]}, "found 2 values of joint_angles for 1 names"),
+        ({"name": ["1"], "position": [1, 2]}, "found 2 values of joint_angles"),
         ({"name": ["1", "1"], "position": [1, 2]}, "joint 1 is named twice"),
         ({"position": [1], "header": {"stamp": {"sec": "now"}}}, "the time stamp is not in"),
     ],
@@ -104,7 +104,7 @@ def test_a_packet_is_sent_as_the_message_that_makes_it(velocity: float) -> None:
 def test_it_has_no_topics_and_needs_joints() -> None:
     with raises_with(key="commands", reason="unknown key"):
         JsonUdp(port=0, commands="/commands")
-    with pytest.raises(SourceError, match="joints: no route leads to a robot"):
+    with pytest.raises(SourceError, match="joints: no route"):
         JsonUdp(port=0).open()
     assert JsonUdp(port=0, joints=NAMES).of_messages.joint_names == NAMES
 

@@ -126,7 +126,7 @@ def test_transforms_of_another_robot_and_circles_are_told_and_survived(robot: Pa
     listener.take([(FRAMES, encoded(transforms(circle)), b"")])
     wrong = frame(rotation_from_rpy(np.array([1.0, 0, 0])))
     listener.take([(FRAMES, encoded(transforms([("base_link", "upper", wrong)])), b"")])
-    assert len(said) == 1 and said[0].startswith("the transform of upper is")
+    assert len(said) == 1 and said[0].startswith("the transform of upper ")
     assert np.isfinite(latest(listener)["joint_angles"]).all()
 
 
@@ -134,7 +134,7 @@ def test_a_robot_without_frames_of_links_is_not_moved_by_transforms(tmp_path: Pa
     scene = tmp_path / "s.toml"
     scene.write_text('[robots.arm]\nmodel = "lwr"')
     _, said = heard(scene, {"joint_angles": "joint_angles"}, joint_states="tf")
-    assert "does not say where the links of its original file are" in said[0]
+    assert "link_frames" in said[0]
 
 
 def test_odometry_and_poses_are_poses(tmp_path: Path) -> None:
@@ -162,7 +162,7 @@ def test_odometry_and_poses_are_poses(tmp_path: Path) -> None:
     broken = odometry(platform(1.0), "base_link")
     broken.pose.pose.orientation.w = 5.0
     listener.take([(ODOMETRY, encoded(broken), b"")])
-    assert "no unit quaternion" in listener._source.layout.fault
+    assert "unit quaternion" in listener._source.layout.fault
 
 
 def bag_of(folder: Path, *kinds: str) -> Path:

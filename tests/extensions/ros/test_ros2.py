@@ -25,8 +25,7 @@ from sero_mj.base.errors import SourceError
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.data.drive.record_sources import record_sources
 from sero_mj.data.receive.report import describe, report
-from sero_mj.data.receive.routed_joints import RoutedJoint
-from sero_mj.data.receive.source import make_source
+from sero_mj.data.receive.source import RoutedJoint, make_source
 from sero_mj.data.record.replay import Replay
 from sero_mj.extensions.ros import dds
 from sero_mj.extensions.ros.dds import Ros2
@@ -120,7 +119,7 @@ def test_values_arrive_by_the_names_of_joints(peer: Peer) -> None:
 
 
 @pytest.mark.parametrize(
-    ("late", "shown"), [(2.5, ", its clock 2.5 s behind"), (-2.5, ", its clock 2.5 s ahead")]
+    ("late", "shown"), [(2.5, "clock is 2.5 s slow"), (-2.5, "clock is 2.5 s fast")]
 )
 def test_a_clock_that_differs_is_found_and_shown(peer: Peer, late: float, shown: str) -> None:
     with source_of(joint_states="/clock") as source:
@@ -241,9 +240,9 @@ def test_two_publishers_of_the_same_joints_are_counted(peer: Peer) -> None:
 @pytest.mark.parametrize(
     ("topic", "trouble"),
     [
-        ("/nowhere", "nobody publishes /nowhere; of its type are .*/here"),
+        ("/nowhere", "no publisher of /nowhere; topics of its type: .*/here"),
         ("/text", "/text is of type std_msgs/msg/String; expected sensor_msgs/msg/JointState"),
-        ("/here", "its publisher is silent"),
+        ("/here", "the publisher is not sending messages"),
     ],
 )
 def test_it_is_told_why_nothing_comes(peer: Peer, topic: str, trouble: str) -> None:
@@ -258,7 +257,7 @@ def test_it_is_told_why_nothing_comes(peer: Peer, topic: str, trouble: str) -> N
 def test_a_domain_without_publishers_is_told() -> None:
     with source_of(domain=231) as source:
         assert until(lambda: source.trouble, 8.0)
-        assert "nobody publishes in domain 231 of this machine" in source.trouble
+        assert "no publisher in domain 231 of this machine" in source.trouble
         assert "host = 'subnet'" in source.trouble
 
 
@@ -395,7 +394,7 @@ def test_descriptions_that_are_none_are_told(
         ("ros2://:x", "expected ros2://HOST:DOMAIN/NAMESPACE"),
         ("ros2://?robto=fr3", "no field 'robto'; did you mean 'robot'?"),
         ("ros2://?torque_constants=a", "torque_constants: found 'a'; expected numbers, Nm/A"),
-        ("ros2://:230", "ROS 2 domain 230 of localhost has no publisher, within 5 s"),
+        ("ros2://:230", "ROS 2 domain 230 on localhost has no publisher"),
     ],
 )
 def test_addresses_of_nothing_are_told(
@@ -416,7 +415,7 @@ def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
 
 def test_a_list_of_nothing_says_where_else_to_look(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "status", "ros2://:229", "--topics", "--duration", "0.2")
-    assert (status, "; ros2://subnet looks on the network" in out) == (1, True), out
+    assert (status, "ros2://subnet" in out) == (1, True), out
 
 
 @pytest.mark.parametrize(
@@ -443,7 +442,7 @@ def test_wrong_declarations_name_their_key(fields: dict[str, Any], key: str) -> 
 
 
 def test_it_is_told_that_no_route_says_which_joints_are_wanted() -> None:
-    with pytest.raises(SourceError, match="joints: no route leads to a robot"):
+    with pytest.raises(SourceError, match="joints: no route"):
         Ros2(domain=DOMAIN).open()
 
 
@@ -473,9 +472,9 @@ def kilted_driver(python: Path, domain: int) -> Iterator[None]:
 def test_a_driver_that_is_killed_is_replaced_by_another_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(dds, "_LOOKS", 0.05)
+    monkeypatch.setattr(dds, "_CHECK_INTERVAL", 0.05)
     domain = DOMAIN - 90  # where nobody else publishes
-    missed = f"nobody publishes in domain {domain}"
+    missed = f"no publisher in domain {domain}"
     with source_of(domain=domain) as source:
         for driver in range(2):
             with publishing(domain, lease=1.0) as peer:

@@ -1,4 +1,4 @@
-"""Guesses about packets that nobody has described, on packets that the test knows."""
+"""Guesses of structures, for packets with a known structure."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def counted(letter: str, first: int = 250) -> np.ndarray:
          "number:1H 1H=size 7F7F", False, True),
         (as_rows(counted("u2", 65_533), counted("u2"), JOINTS), "number:1H 1H 7F7F", True, True),
         (as_rows(JOINTS.astype("<f4"))[:1], "7F7F", False, True),
-        # Of one packet no counter can be told, but that something stands before the numbers.
+        # A single packet shows a header before the numbers, but not that it is a counter.
         (as_rows(counted("u4", 10**9), JOINTS)[:1], "1I 7F7F", True, True),
         (as_rows(counted("u4", 10**9), JOINTS.astype(">f8"))[:1], "1I >7F7F", True, True),
         (as_rows(counted("u2").astype(">u2"), JOINTS[:, :12].astype(">f8")),
@@ -64,7 +64,7 @@ def counted(letter: str, first: int = 250) -> np.ndarray:
         (as_rows(counted("u4", 60_000).astype(">u4"), JOINTS), ">number:1I <7F7F", True, True),
         (as_rows(counted("u8").astype(">u8"), np.zeros((6, 14), ">f8")),
          ">number:1Q 7F7F", True, True),
-        # Nothing speaks against zeros, and few digits are no reason to think of float32.
+        # Zeros are plausible, and few digits do not indicate float32.
         (np.zeros((3, 112), np.uint8), "7F7F", True, True),
         (as_rows(np.tile([0.5, 1.0, -2.0, 0.25], (4, 1))), "2F2F", True, True),
     ],
@@ -115,7 +115,7 @@ def test_numbers_of_several_types_are_distinguished(
 
 
 @pytest.mark.parametrize(
-    ("structure", "size", "said"),
+    ("structure", "size", "reported"),
     [
         ("7F7F1B", 120, "with 7x at its end it has 120"),
         ("7F7F", 56, "with double = false it has 56"),
@@ -126,8 +126,8 @@ def test_numbers_of_several_types_are_distinguished(
         ("7F", 48, ""),
     ],
 )
-def test_different_size_is_explained_by_options(structure: str, size: int, said: str) -> None:
-    assert Structure(structure).explain_size(size) == said
+def test_different_size_is_explained_by_options(structure: str, size: int, reported: str) -> None:
+    assert Structure(structure).explain_size(size) == reported
 
 
 def test_112_bytes_are_14_doubles_or_28_floats() -> None:
@@ -232,7 +232,7 @@ def test_plausibility_counts_magnitudes_from_1e_minus_6_to_1e6() -> None:
 def test_frames_are_found_if_all_packets_have_them() -> None:
     numbers = np.hstack([JOINTS[:, :2], FRAMES.reshape(6, 16), FRAMES.reshape(6, 16)])
     assert find_frames(numbers) == ([2, 18], False)
-    numbers[3, 4] += 0.5  # in one packet the first is none
+    numbers[3, 4] += 0.5  # the first frame is invalid in one packet
     assert find_frames(numbers) == ([18], False)
     assert find_frames(JOINTS) == ([], True)
 
@@ -284,7 +284,7 @@ def test_no_checksum_is_recognized_in_packets_without_one() -> None:
     assert recognize(rows) is None
     assert recognize(np.zeros((16, 40), np.uint8)) is None
     rows[:] = 7
-    rows[:, 0] = rows[:, -1] = np.arange(16)  # counters, the second a sum of the first
+    rows[:, 0] = rows[:, -1] = np.arange(16)  # two counters; the second is a sum of the first
     rows[:, 1:-1] = 0
     assert recognize(rows) is None
     assert recognize(rows[:1]) is None

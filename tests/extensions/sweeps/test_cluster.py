@@ -184,8 +184,8 @@ def test_table_equals_that_of_one_machine(file: Path, tmp_path: Path) -> None:
         done = swept(file, *sweep, "-o", here, "--jobs", 1)
         assert done == (1, "")  # some expectations fail
         engine = ["--engine", "dask", "--scheduler", found.file]
-        _, said = swept(file, *sweep, "-o", there, *engine)
-        assert "differs" not in said and "gone" not in said
+        _, output = swept(file, *sweep, "-o", there, *engine)
+        assert "differs" not in output and "gone" not in output
         assert there.read_bytes() == here.read_bytes()
         rows = here.read_text()
         assert (
@@ -230,8 +230,8 @@ def test_variant_that_kills_its_workers_is_a_row_and_affects_no_other(
     with machines(tmp_path, file.parents[1], 2) as found:
         assert swept(scenario, *sweep, "-o", here, "--jobs", 2) == (1, loads)
         engine = ["--engine", "dask", "--scheduler", found.file]
-        _, said = swept(scenario, *sweep, "-o", there, *engine)
-    assert said == loads
+        _, output = swept(scenario, *sweep, "-o", there, *engine)
+    assert output == loads
     assert there.read_bytes() == here.read_bytes()
     assert there.read_text().count(KILLED) == 4
 
@@ -251,8 +251,8 @@ def test_recordings_are_sent_to_workers_without_the_disk(file: Path, tmp_path: P
     here = table.read_bytes()
     with machines(tmp_path, file.parents[1], 1) as found:
         engine = ["--engine", "dask", "--scheduler", found.file]
-        code, said = commanded(*compare, *engine)
-        assert code == 2 and f"{client}/broken.mcap: is no MCAP file" in said
+        code, output = commanded(*compare, *engine)
+        assert code == 2 and f"{client}/broken.mcap: is no MCAP file" in output
         assert not list(tmp_path.rglob("*.mcap"))  # removed afterwards
     assert table.read_bytes() == here
     rows = here.decode().splitlines()
@@ -270,8 +270,8 @@ def test_killed_workers_do_not_change_the_table(file: Path, tmp_path: Path) -> N
             wait_for(lambda rows=rows: there.exists() and there.read_bytes().count(b"\n") > rows)
             os.kill(found.pids()[0], signal.SIGKILL)
         found.add_worker()  # one that joins later
-        _, said = process.communicate(timeout=110)
-    assert said == ""
+        _, output = process.communicate(timeout=110)
+    assert output == ""
     assert KILLED not in there.read_text()
     assert there.read_bytes() == here.read_bytes()
 
@@ -290,16 +290,16 @@ def test_stopped_sweep_is_resumed(file: Path, tmp_path: Path, how: str) -> None:
         else:
             found.scheduler.kill()
         begin = time.monotonic()
-        _, said = process.communicate(timeout=60)
+        _, output = process.communicate(timeout=60)
         assert time.monotonic() - begin < 20
         if how == "Ctrl+C":
             assert process.returncode == 130
-            assert "variants are left; repeat the command with --resume to continue" in said
+            assert "variants are left; repeat the command with --resume to continue" in output
             wait_for(lambda: not list(tmp_path.rglob("follow.toml")))
             engine = ["--engine", "dask", "--scheduler", found.file]
         else:
             assert process.returncode == 2
-            assert "the scheduler is gone; results so far are saved" in said
+            assert "the scheduler is gone; results so far are saved" in output
             engine = ["--jobs", 2]
         known = there.read_bytes().count(b"\n")
         assert 1 < known < 97
@@ -314,8 +314,8 @@ def test_ten_thousand_short_variants_run(file: Path, tmp_path: Path) -> None:
     sweep = ["--vary", "run.seed=0:99999", "--samples", "10000", "--set", "run.duration=0.02"]
     with machines(tmp_path, file.parents[1], 4) as found:
         process = started(file, *sweep, "-o", there, "--engine", "dask", "--scheduler", found.file)
-        _, said = process.communicate(timeout=390)
-    assert said == ""
+        _, output = process.communicate(timeout=390)
+    assert output == ""
     assert there.read_bytes().count(b"\n") == 10_001
 
 
@@ -337,8 +337,8 @@ def test_workers_can_be_batch_jobs(
     queue.write_text(f"[slurm]\njobs = 1\n{settings}\n")
     out = tmp_path / "out.csv"
     sweep = [*SWEEP, "--samples", 4, "-o", out, "--engine", "dask", "--scheduler", queue]
-    status, said = swept(file, *sweep)
-    assert status == 1, said
+    status, output = swept(file, *sweep)
+    assert status == 1, output
     assert out.read_bytes().count(b"\n") == 5
     assert "#SBATCH -t 00:10:00" in (tmp_path / "job.sh").read_text()
     wait_for((tmp_path / "cancelled").is_file)

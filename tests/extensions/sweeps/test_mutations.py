@@ -96,25 +96,25 @@ def test_sweep_reports_mutations_that_no_expectation_detects(
 ) -> None:
     mutations, out = written(tmp_path, MUTATIONS), tmp_path / "out.csv"
     asked = "sweep", str(file), "--mutations", str(mutations), "--jobs", "1"
-    status, told, _ = run(capsys, *asked, "-o", str(out))
+    status, output, _ = run(capsys, *asked, "-o", str(out))
     assert status == 1
-    lines = [line.split() for line in told.splitlines()]
+    lines = [line.split() for line in output.splitlines()]
     assert lines[-2][:5] == ["half", "as", "stiff", "nothing;", "it_holds"]
     assert lines[-1] == ["2", "detected,", "1", "not", "detected"]
     assert [line.split(",")[1:3] for line in out.read_text().splitlines()] == [
         ["mutation", "held"], ["", "true"], ["undeclared load", "false"],
         ["half as stiff", "true"], ["too weak", "false"],
     ]  # fmt: skip
-    status, told, _ = run(capsys, *asked, "-o", str(out), "--resume", "--json")
-    assert status == 1 and json.loads(told)["unnoticed"] == ["half as stiff"]
+    status, output, _ = run(capsys, *asked, "-o", str(out), "--resume", "--json")
+    assert status == 1 and json.loads(output)["unnoticed"] == ["half as stiff"]
     mutations.write_text(MUTATIONS.replace("400", "401"))
-    _, _, told = run(capsys, *asked, "-o", str(out), "--resume")
-    assert "mutations.half as stiff.controllers.lwr.stiffness was 400.0 and is 401.0" in told
+    _, _, output = run(capsys, *asked, "-o", str(out), "--resume")
+    assert "mutations.half as stiff.controllers.lwr.stiffness was 400.0 and is 401.0" in output
     mutations.write_text(MUTATIONS.partition('["half')[0])
     assert run(capsys, *asked, "--quiet")[:2] == (0, "")
     file.write_text(SCENARIO.replace("below", "holds_at = 'all'\nabove"))
-    status, told, _ = run(capsys, *asked)
-    assert status == 1 and "fail without a mutation: it_holds" in told
+    status, output, _ = run(capsys, *asked)
+    assert status == 1 and "fail without a mutation: it_holds" in output
 
 
 @pytest.mark.parametrize(

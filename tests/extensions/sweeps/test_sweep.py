@@ -319,10 +319,10 @@ def test_joined_shards_equal_the_table_of_one_run(
     assert joined.read_bytes() == whole.read_bytes()
     head, first, second = parts[1].read_text().splitlines()
     parts[1].write_text(f"{head}\n{first.replace('1', '3', 1)}\n{second.replace('3', '1', 1)}\n")
-    _, said = done("--merge", parts[1], "-o", joined, "--resume")
-    assert "has a different result for variant" in said
-    _, said = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
-    assert "--merge: no file" in said
+    _, output = done("--merge", parts[1], "-o", joined, "--resume")
+    assert "has a different result for variant" in output
+    _, output = done("--merge", tmp_path / "no.*.csv", "-o", joined, "--resume")
+    assert "--merge: no file" in output
 
 
 @pytest.mark.thorough
@@ -457,11 +457,11 @@ def test_sweep_writes_table_and_figure_and_reports_the_result(
                "--plot", str(plot)]  # fmt: skip
     with pytest.raises(SystemExit) as caught:
         main(command)
-    said = capsys.readouterr().out
+    output = capsys.readouterr().out
     assert caught.value.code == 1
-    assert "shove: 6 variants (6 in " in said
-    assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in said
-    assert "2 stopped by errors" in said
+    assert "shove: 6 variants (6 in " in output
+    assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in output
+    assert "2 stopped by errors" in output
     assert len(read(out)) == 6
     assert plot.read_bytes()[:4] == b"\x89PNG" and plot.stat().st_size > 5000
     with pytest.raises(SystemExit) as caught:
@@ -534,10 +534,10 @@ def test_stopped_sweep_is_resumed_by_the_command(
     workers = children(process.pid)
     assert len(workers) == 2
     process.send_signal(how)
-    _, said = process.communicate(timeout=20)
+    _, output = process.communicate(timeout=20)
     if how == signal.SIGINT:
         assert process.returncode == 130
-        assert "variants are left; repeat the command with --resume to continue" in said
+        assert "variants are left; repeat the command with --resume to continue" in output
     else:
         assert process.returncode == -how
     wait_for(lambda: not any(is_alive(pid) for pid in workers))  # no process is left
@@ -546,8 +546,8 @@ def test_stopped_sweep_is_resumed_by_the_command(
     with pytest.raises(SystemExit) as caught:
         main([*command, "--jobs", "1", "--resume"])
     assert caught.value.code == 0
-    said = capsys.readouterr().out
-    assert f"; {known} from before" in said or f"; {known - 1} from before" in said
+    output = capsys.readouterr().out
+    assert f"; {known} from before" in output or f"; {known - 1} from before" in output
     assert out.read_bytes() == whole
 
 

@@ -105,7 +105,7 @@ def test_file_that_is_not_a_table_is_rejected(tmp_path: Path) -> None:
             read_csv(tmp_path / "b.csv", rate=rate)
 
 
-@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs an endless file")
+@pytest.mark.skipif(not Path("/dev/zero").exists(), reason="needs an infinite file")
 def test_device_is_rejected(tmp_path: Path) -> None:
     (tmp_path / "table.csv").symlink_to("/dev/zero")
     reason = "cannot be read: is a device; expected a file"

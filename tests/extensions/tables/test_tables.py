@@ -1,4 +1,4 @@
-"""Tables as other programs write them: their cells, times and columns, and what plays them."""
+"""Tables of other programs: cells, times, columns, and their use in commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.extensions.tables.table import read_csv, read_table
 from sero_mj.load import load_scene
 from sero_mj.robots.declared.robot import SerialRobot
 
-OF_VENDORS = pytest.mark.extensions  # whose columns have names of libfranka or RTDE
+OF_VENDORS = pytest.mark.extensions  # column names of libfranka and RTDE are in extensions
 
 SCENE = """
 [robots.two]
@@ -46,13 +46,13 @@ structure = "2f2F"
 "two.torques" = "arm.values1"
 "two.show_arrows" = "arm.receiving"
 """
-# record.py of Universal Robots: cells are separated by a blank.
+# record.py of Universal Robots: cells are separated by a space.
 RTDE = """timestamp actual_q_0 actual_q_1 target_moment_0 target_moment_1
 17000.000 0.5 -1.0 10.0 20.0
 17000.008 0.6 -1.1 11.0 21.0
 17000.016 0.7 -1.2 12.0 22.0
 """
-# franka::logToCSV before and since 2024, in ms; commands have names of measurements.
+# franka::logToCSV before and since 2024, in ms; commands have the names of measurements.
 FRANKA = """duration, success rate, q[0], q[1],q_d[0], q_d[1],tau_J[0], tau_J[1],\
 tau_ext_hat_filtered[0], tau_ext_hat_filtered[1],sent commands,q_d[0], q_d[1]
 0,1,0.1,0.2,0.3,0.4,5,6,0.5,-0.5,,9,9
@@ -125,7 +125,7 @@ def test_columns_with_text_raise_an_error_only_when_used(tmp_path: Path) -> None
     path = table(tmp_path, "time,mode,a,a\n0,AUTO,1,2\n1,AUTO,3,4\n")
     found = read_table(path)
     assert found.column("a").tolist() == [1.0, 3.0]
-    assert found.column("a.1").tolist() == [2.0, 4.0]  # as pandas calls the second
+    assert found.column("a.1").tolist() == [2.0, 4.0]  # as in pandas
     wrong = {"line": 2, "column": "mode", "reason": "found 'AUTO'; expected a number, or nan"}
     for read in (lambda: found.column("mode"), lambda: read_csv(path)):
         with raises_with(CsvError, **wrong):
@@ -170,7 +170,7 @@ def test_libfranka_logs_are_converted_to_our_units_and_signs(tmp_path: Path) -> 
     signals = {key: each[0].tolist() for key, each in signals_of(found).items()}
     assert signals == {
         "joint_angles": [0.1, 0.2], "torques": [5, 6], "commanded_angles": [0.3, 0.4],
-        "external_torques": [-0.5, 0.5],  # libfranka's are what the robot exerts
+        "external_torques": [-0.5, 0.5],  # libfranka's torques are exerted by the robot
     }  # fmt: skip
     found = read_table(table(tmp_path, FRANKA_2024))
     assert found.times.tolist() == [0.0, 0.002]
@@ -211,8 +211,10 @@ def test_wrong_number_of_joints_is_reported(tmp_path: Path) -> None:
     with raises_with(CsvError, reason=f"found joint angles in 3 columns, q_1 to q_3; {expected}"):
         robots_in(read_table(table(tmp_path, three)), scene.robots, {})
     unknown = read_table(table(tmp_path, "time,x1,x2\n0,1,2\n"))
-    told = f'found the columns x1, x2; {expected}. Declare them with --columns "joint_angles=x*"'
-    with raises_with(CsvError, reason=told):
+    reported = (
+        f'found the columns x1, x2; {expected}. Declare them with --columns "joint_angles=x*"'
+    )
+    with raises_with(CsvError, reason=reported):
         robots_in(unknown, scene.robots, {})
 
 
@@ -224,7 +226,7 @@ def test_table_is_a_source_of_joint_signals_or_packets(tmp_path: Path) -> None:
         source.advance_to(0.009)
         packet = source.latest()
         assert packet is not None and packet.values["joint_angles"].tolist() == [0.6, -1.1]
-        assert packet.values["torques"].tolist() == [11.0, 21.0]  # none were measured
+        assert packet.values["torques"].tolist() == [11.0, 21.0]  # the commanded torques
         source.advance_to(1.0)
         assert source.counters.received == 3 and source.end == pytest.approx(0.016)
     packets = TableReplay(file=tmp_path / "t.csv", structure="4f", rate=100.0)
@@ -285,7 +287,7 @@ def test_table_of_joint_signals_is_a_run(tmp_path: Path) -> None:
     assert run.times == pytest.approx([0.0, 0.008, 0.016])
     assert run.of("two", "joint_angles")[1].tolist() == [0.6, -1.1]
     assert run.of("two", "commanded_torques")[2].tolist() == [12.0, 22.0]
-    assert "two_torques" not in run.signals  # shown, but not measured
+    assert "two_torques" not in run.signals  # displayed, but not measured
     columns = {"joint_angles [deg]": "actual_q_*"}
     run = read_run_table(tmp_path / "t.csv", scene_of(tmp_path), columns=columns)
     assert run.of("two", "joint_angles")[0] == pytest.approx(np.deg2rad([0.5, -1.0]))
@@ -296,7 +298,7 @@ def test_table_of_joint_signals_is_a_run(tmp_path: Path) -> None:
 
 @pytest.mark.filterwarnings("error")
 def test_rows_with_equal_times_have_finite_velocities(tmp_path: Path) -> None:
-    """As of a program that writes six digits of a time."""
+    """Some programs write times with only six digits."""
     rows = "time,q1,q2\n17000,0,0\n17000,0,0\n17000.5,1,2\n17001,2,4\n17001,2,4\n"
     run = read_run_table(table(tmp_path, rows), scene_of(tmp_path))
     assert run.of("two", "joint_velocities") == pytest.approx(np.tile([2.0, 4.0], (5, 1)))

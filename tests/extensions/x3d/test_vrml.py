@@ -49,7 +49,7 @@ def parse(text: str) -> Node:
     return parse_document(text, HERE).nodes[0]
 
 
-def wrong(text: str) -> list[str]:
+def errors_in(text: str) -> list[str]:
     """Returns the errors of a text, one line each."""
     with pytest.raises(DeclarationError) as caught:
         parse_document(text, HERE)
@@ -226,14 +226,14 @@ def test_value_of_another_type_is_reported(kind: str, text: str, message: str) -
     ],
 )  # fmt: skip
 def test_errors_are_reported_with_lines(text: str, messages: list[str]) -> None:
-    assert wrong(text) == messages
+    assert errors_in(text) == messages
 
 
 def test_all_errors_are_reported_once() -> None:
     text = "Box { size ]\n }\nGroup { children [ Box { size 1 ]\n } ] }\nUSE x\nSphere { radius }\n"
-    lines = [int(line.split(":")[1]) for line in wrong(text)]
+    lines = [int(line.split(":")[1]) for line in errors_in(text)]
     assert lines == [1, 3, 5, 6]
-    many = wrong("Sphere { radius }\n" * 50)
+    many = errors_in("Sphere { radius }\n" * 50)
     assert len(many) == 21 and many[-1] == "scene.x3d: and 30 more"
 
 

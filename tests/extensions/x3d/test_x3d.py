@@ -1,4 +1,4 @@
-"""Scenes in X3D's classic encoding: the paper's Fig. 7 as printed, and what else they hold."""
+"""Scenes in X3D's classic encoding: Fig. 7 as printed in the paper, and other contents."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from sero_mj.robots.importers.imported_tables import ImportedTables
 from sero_mj.simulate.runs.run_recording import read_run
 
 FIG7 = ROOT / "tests" / "fig7.x3d"
-# The rows as the paper prints them.
+# The rows as printed in the paper.
 LWR = [
     [0, 0, 0, 0.31], [1.5708, 0, 0, 0], [-1.5708, 0, 0, 0.4], [-1.5708, 0, 0, 0],
     [1.5708, 0, 0, 0.39], [1.5708, 0, 0, 0], [-1.5708, 0, 0, 0],
@@ -40,7 +40,7 @@ def written(text: str, folder: Path) -> Path:
     return path
 
 
-def wrong(text: str, folder: Path) -> list[str]:
+def errors_in(text: str, folder: Path) -> list[str]:
     path = written(text, folder)
     with pytest.raises(DeclarationError) as caught:
         load_scene(path)
@@ -74,7 +74,7 @@ def test_fig_7_is_read_as_printed() -> None:
 
 def test_packets_move_the_robot_of_fig_7_through_its_routes() -> None:
     scene = load_scene(FIG7)
-    scene.sources["udpProto"]["port"] = 0  # so that tests can run side by side
+    scene.sources["udpProto"]["port"] = 0  # so that tests can run in parallel
     values = np.random.default_rng(3).uniform(-1.5, 1.5, 14)
     with Mirror(scene) as mirror, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         source = mirror.sources["udpProto"]
@@ -89,7 +89,7 @@ def test_packets_move_the_robot_of_fig_7_through_its_routes() -> None:
 
 
 def _flange(q: Array) -> Array:
-    """Craig's equation 3.6, row by row, written out: alpha, a, theta, d."""
+    """Returns Craig's equation 3.6, row by row, written out: alpha, a, theta, d."""
     T = np.eye(4)
     for (alpha, a, theta, d), angle in zip(LWR, q, strict=True):
         ca, sa = np.cos(alpha), np.sin(alpha)
@@ -138,7 +138,7 @@ ROUTE shm.values0 TO left-arm.torques
 """
 
 
-def test_every_field_of_fig_3_and_fig_5_arrives(tmp_path: Path) -> None:
+def test_every_field_of_fig_3_and_fig_5_is_read(tmp_path: Path) -> None:
     described = read(FULL, tmp_path)
     assert described.warnings == []
     robot = described.tables["robots"]["left-arm"]
@@ -281,7 +281,7 @@ def test_only_links_without_a_file_are_generated_from_the_table(
         link = {"arm/": 0, "arm/link1": 1, "arm/link2": 2}.get(name)
         if link is not None:
             kinds[link].append(mujoco.mjtGeom(model.geom_type[geom]).name[7:].lower())
-    assert kinds[1] == ["mesh", "mesh"]  # one for each colour
+    assert kinds[1] == ["mesh", "mesh"]  # one for each color
     assert "mesh" not in kinds[0] + kinds[2] and kinds[0] and kinds[2]
     colors = model.geom_rgba[model.geom_type == mujoco.mjtGeom.mjGEOM_MESH]
     assert colors[0].tolist() == [1, 0, 0, 1]
@@ -353,13 +353,13 @@ def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_pat
     ],
 )  # fmt: skip
 def test_errors_are_reported_with_lines(text: str, messages: list[str], tmp_path: Path) -> None:
-    found = wrong(text, tmp_path)
+    found = errors_in(text, tmp_path)
     assert len(found) == len(messages)
     for line, message in zip(found, messages, strict=True):
         assert line.startswith(message)
 
 
-def test_commands_take_a_scene_of_x3d(
+def test_commands_accept_an_x3d_scene(
     capsys: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture, tmp_path: Path
 ) -> None:
     with pytest.raises(SystemExit) as done:
@@ -380,7 +380,7 @@ def test_commands_take_a_scene_of_x3d(
     assert "is X3D in the XML encoding; expected a first line #X3D V3.0" in capsys.readouterr().err
 
 
-def test_a_recording_of_such_a_scene_knows_its_robots(tmp_path: Path) -> None:
+def test_recording_of_an_x3d_scene_contains_its_robots(tmp_path: Path) -> None:
     scene = load_scene(FIG7)
     scene.sources["udpProto"]["port"] = 0
     path = tmp_path / "run.mcap"

@@ -1,4 +1,4 @@
-// In your control callback: sero.send(state). It never blocks, allocates or throws.
+// Call sero.send(state) in your control callback. It never blocks, allocates or throws.
 #include <arpa/inet.h>
 #include <franka/robot_state.h>
 #include <sys/socket.h>

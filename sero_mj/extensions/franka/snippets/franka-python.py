@@ -1,4 +1,4 @@
-"""In your control loop: `send(state)`, with the state that pylibfranka has read."""
+"""Sends robot states to sero-mj. Call `send(state)` in your control loop with pylibfranka."""
 
 import contextlib
 import itertools
@@ -15,14 +15,14 @@ _socket.setblocking(False)
 
 
 def send(state):
-    """Sends a state of the robot: q in rad, tau_J and tau_J_d in Nm."""
+    """Sends q in rad, and tau_J and tau_J_d in Nm."""
     values = (*state.q, *state.tau_J, *state.tau_J_d)
     packet = struct.pack(f"<Id{3 * JOINTS}d", next(_counts), time.time(), *values)
-    with contextlib.suppress(OSError):  # where there is no way to HOST
+    with contextlib.suppress(OSError):  # HOST is unreachable
         _socket.sendto(packet, (HOST, PORT))
 
 
-if __name__ == "__main__":  # shows a robot that nothing else is connected to
+if __name__ == "__main__":  # mirrors a robot that has no other client
     import sys
 
     import pylibfranka

@@ -1,4 +1,4 @@
-"""Passes on `joint_states` of ROS 2: `python ros2.py`, where ROS is set up."""
+"""Sends `joint_states` of ROS 2 to sero-mj. Run `python ros2.py` in a ROS environment."""
 
 import itertools
 import socket
@@ -11,18 +11,18 @@ from sensor_msgs.msg import JointState
 
 JOINTS = 7
 HOST, PORT = "127.0.0.1", 32000  # where sero-mj runs
-NAMES = []  # of the joints in the robot's order; those of the first message when empty
+NAMES = []  # joint names in the robot's order (default: the names in the first message)
 
 counts = itertools.count(1)
 to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 
 
 def send(message):
-    """Sends a JointState: position in rad, effort in Nm; commanded torques are not in it."""
+    """Sends a JointState with position in rad and effort in Nm, without commanded torques."""
     if not NAMES:
         NAMES.extend(message.name[:JOINTS])
     if not set(NAMES) <= set(message.name):
-        return  # of other joints
+        return  # the message is for other joints
     order = [message.name.index(name) for name in NAMES]
     nan = [float("nan")] * JOINTS
     effort = [message.effort[k] for k in order] if len(message.effort) else nan

@@ -1,4 +1,4 @@
-"""Passes on what a Universal Robots controller says, by ur_rtde: `python ur.py ROBOT_IP`."""
+"""Sends the state of a Universal Robots arm to sero-mj, with ur_rtde: `python ur.py ROBOT_IP`."""
 
 import itertools
 import socket
@@ -13,7 +13,7 @@ HOST, PORT = "127.0.0.1", 32000  # where sero-mj runs
 RATE = 125.0  # 1/s
 
 robot = RTDEReceiveInterface(sys.argv[1], RATE)
-# Torques of the currents, as newer controllers tell them; else the commanded ones stand for them.
+# Torques from motor currents (newer controllers), or the commanded torques as a replacement.
 measured = getattr(robot, "getActualCurrentAsTorque", robot.getTargetMoment)
 to = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
 for count in itertools.count(1):
