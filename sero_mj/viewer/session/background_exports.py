@@ -27,7 +27,7 @@ class BackgroundExports:
         self._made: tuple[ChildProcess, list[str], Path] | None = None
 
     def add(self, words: Sequence[str], path: Path) -> int:
-        """Queues a file; returns the number of files ahead in the queue. Thread-safe.
+        """Queues a file; returns the number of files before it in the queue. Thread-safe.
 
         Args:
             words: command and arguments of `sero-mj`, without the output file.
