@@ -43,9 +43,6 @@ WORDS = {
 FORBIDDEN = {re.compile(rf"\b(?:{words})\b", re.IGNORECASE): use for words, use in WORDS.items()}
 # Folders that still have such words; without file names, they are not checked.
 UNCHECKED = (
-    "sero_mj/extensions/fmu",
-    "sero_mj/extensions/ros",
-    "sero_mj/extensions/rtde",
     "sero_mj/simulate/external_control",
     "sero_mj/viewer/decor",
     "sero_mj/viewer/image",

@@ -80,8 +80,9 @@ _SLOW = (
 )  # fmt: skip
 # These open the ports of shipped scenes, so one worker runs them all.
 _PORTS = (
-    "test_ahead", "test_cli", "test_docs", "test_film", "test_fri", "test_mirror", "test_shm",
-    "test_simulate_command", "test_torque_plots", "test_udp", "test_without_display",
+    "test_cli", "test_docs", "test_fri", "test_mirror", "test_packet_buffer", "test_shm",
+    "test_simulate_command", "test_torque_plots", "test_udp", "test_video",
+    "test_without_display",
 )  # fmt: skip
 
 # These parse all our files, so one worker runs them.

@@ -30,10 +30,11 @@ def nothing_installed(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
                               "MUJOCO_GL=egl works here"),
         ("Disable", "has_osmesa", "MUJOCO_GL=Disable turns OpenGL off; "
                                   "MUJOCO_GL=osmesa works here"),
-        ("glfw", "has_egl", "MUJOCO_GL=glfw needs a display, which is missing; "
+        ("glfw", "has_egl", "MUJOCO_GL=glfw needs a display, but there is none; "
                             "MUJOCO_GL=egl works here"),
-        ("1", "has_egl", "MUJOCO_GL=1 needs a display, which is missing; MUJOCO_GL=egl works here"),
-        ("egl", "", "MUJOCO_GL=egl needs EGL, OpenGL and a driver, but some of them are not "
+        ("1", "has_egl", "MUJOCO_GL=1 needs a display, but there is none; "
+                         "MUJOCO_GL=egl works here"),
+        ("egl", "", "MUJOCO_GL=egl needs EGL, OpenGL and a driver, of which at least one is not "
                     "installed; install libegl1 libgl1 libgl1-mesa-dri"),
         ("egl", "has_egl", ""),
         ("osmesa", "has_osmesa", ""),

@@ -197,7 +197,7 @@ def test_rendered_images_follow_unless_a_path_sets_the_position(justin: World, t
         drive(justin, data, 8.0, 0.1)
         renderer.render(data)
         assert renderer.camera.lookat[0] == pytest.approx(4.0 + start[0])
-        with pytest.raises(UsageError, match="--orbit and --camera-path: both move the camera"):
+        with pytest.raises(UsageError, match="--orbit and --camera-path both move the camera"):
             video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file, orbit=90))
 
 

@@ -48,7 +48,7 @@ def sero_mj(*arguments: str, cwd: Path | None = None) -> subprocess.CompletedPro
         for each in COMMANDS
     ],
 )
-def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
+def test_every_command_has_help_with_examples(command: str, capsys) -> None:
     status, out, _ = run(capsys, command, "--help")
     assert status == 0
     assert len(out.splitlines()) > 8
@@ -60,7 +60,7 @@ def test_every_command_has_help_worth_reading(command: str, capsys) -> None:
 
 
 @pytest.mark.extensions
-def test_the_main_help_lists_all_commands(capsys) -> None:
+def test_main_help_lists_all_commands(capsys) -> None:
     status, out, _ = run(capsys, "--help")
     assert status == 0
     assert re.findall(r"^(\w+):$", out, re.MULTILINE)[:5] == [*GROUPS]
@@ -170,7 +170,7 @@ def test_bad_use_exits_with_2_and_one_clear_line(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_nearest_file_of_the_folder_is_named(capsys, tmp_path) -> None:
+def test_nearest_file_of_the_folder_is_suggested(capsys, tmp_path) -> None:
     (tmp_path / "two_arms.toml").write_text("")
     status, _, err = run(capsys, "check", str(tmp_path / "tow_arms.toml"))
     assert status == 2
@@ -189,7 +189,7 @@ def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_interrupting_a_film_keeps_what_was_filmed(tmp_path) -> None:
+def test_interrupted_video_is_saved(tmp_path) -> None:
     film = tmp_path / "film.mp4"
     command = [sys.executable, "-u", "-m", "sero_mj", "render", "lwr", "-o", str(film)]
     process = subprocess.Popen(
@@ -245,7 +245,7 @@ def test_fk_prints_both_routes_and_their_difference(capsys) -> None:
     assert "difference: " in out
 
 
-def test_check_says_what_a_scene_holds(capsys) -> None:
+def test_check_prints_the_contents_of_a_scene(capsys) -> None:
     status, out, _ = run(capsys, "check", "lwr_udp")
     assert status == 0
     assert "robot   lwr: 7 joints, craig DH, meshes" in out
@@ -253,13 +253,13 @@ def test_check_says_what_a_scene_holds(capsys) -> None:
     assert "route   udp.values1 -> lwr.torques" in out
 
 
-def test_check_says_which_objects_are_free(capsys) -> None:
+def test_check_prints_which_objects_are_free(capsys) -> None:
     _, out, _ = run(capsys, "check", "hit_hand_grasp")
     assert "object  can: 0.2 kg, free in simulation\n" in out
     assert "object  table\n" in out
 
 
-def test_check_says_what_routes_compute(capsys, tmp_path) -> None:
+def test_check_prints_route_expressions(capsys, tmp_path) -> None:
     file = tmp_path / "s.toml"
     scene = '[robots.lwr]\nmodel = "lwr"\n[sources.udp]\nkind = "udp"\nstructure = "9F"\n[routes]\n'
     routes = '"lwr.joint_angles" = "udp.values0[2:] * deg"\n"lwr.torques" = 0.5\n'
@@ -319,7 +319,7 @@ def test_render_sets_fields_over_the_scenes(capsys, tmp_path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog, tmp_path) -> None:
+def test_click_in_an_image_shows_the_same_as_in_a_window(capsys, caplog, tmp_path) -> None:
     plain, clicked = tmp_path / "plain.png", tmp_path / "clicked.png"
     options = ["--size", "320x240", "--camera", "150,-14,2.2"]
     run(capsys, "render", "lwr", "-o", str(plain), *options)
@@ -332,7 +332,7 @@ def test_a_click_in_a_picture_brings_up_what_it_would_in_a_window(capsys, caplog
     assert "click at 2,2: no item" in caplog.text
     status, _, err = run(capsys, "render", "lwr", "-o", str(clicked), "--click", "2")
     assert status == 2
-    assert "expected X,Y in pixels, or X,Y and shift, double, hover or touch" in err
+    assert "expected X,Y in pixels, or X,Y followed by ,shift ,double ,hover or ,touch" in err
 
 
 def test_settings_are_toml_or_numbers_with_commas() -> None:
@@ -373,7 +373,7 @@ def test_send_and_render_meet_on_a_port_of_their_own_processes(tmp_path) -> None
     assert film.stat().st_size > 1000
 
 
-def test_a_port_in_use_is_a_clear_error_before_anything_opens(tmp_path) -> None:
+def test_port_in_use_is_reported_before_anything_opens(tmp_path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as holder:
         holder.bind(("127.0.0.1", 0))
         port = holder.getsockname()[1]
@@ -391,7 +391,7 @@ def test_a_port_in_use_is_a_clear_error_before_anything_opens(tmp_path) -> None:
     assert not (tmp_path / "x.png").exists()
 
 
-def test_the_command_works_from_any_directory(tmp_path) -> None:
+def test_command_works_from_any_directory(tmp_path) -> None:
     done = sero_mj("check", "--fk", "lwr", "--json", cwd=tmp_path)
     assert done.returncode == 0
     assert json.loads(done.stdout)["position_difference"] < 1e-12
@@ -399,7 +399,7 @@ def test_the_command_works_from_any_directory(tmp_path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_doctor_tries_every_backend_and_says_what_to_install(
+def test_check_tests_every_backend_and_suggests_packages(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     done = sero_mj("check", "--json")
@@ -453,7 +453,7 @@ def test_commands_import_only_what_they_run_with() -> None:
         ),
     ],
 )
-def test_where_nothing_can_be_written_a_line_says_so(
+def test_unwritable_output_is_reported(
     arguments: list[str], said: str, capsys, monkeypatch
 ) -> None:
     monkeypatch.chdir("/proc")
@@ -461,7 +461,7 @@ def test_where_nothing_can_be_written_a_line_says_so(
     assert (status, err) == (2, f"sero-mj: {said}\n")
 
 
-def test_all_that_is_wrong_with_options_is_said_at_once(capsys) -> None:
+def test_all_errors_of_options_are_reported_at_once(capsys) -> None:
     status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--size", "9", "--wait", "x")
     assert status == 2
     assert err.splitlines() == [
@@ -471,7 +471,7 @@ def test_all_that_is_wrong_with_options_is_said_at_once(capsys) -> None:
     ]
 
 
-def test_a_closed_pipe_ends_quietly() -> None:
+def test_closed_pipe_ends_without_a_message() -> None:
     command = f"{sys.executable} -m sero_mj list --fields | head -1"
     done = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert done.stderr == ""
@@ -488,7 +488,7 @@ def test_a_closed_pipe_ends_quietly() -> None:
     ],
 )  # fmt: skip
 @pytest.mark.parametrize("scene", ["lwr_udp", "lwr"])
-def test_what_is_set_wrongly_is_said_of_the_setting(
+def test_invalid_overrides_are_reported_with_their_option(
     scene: str, setting: str, message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as caught:
@@ -516,7 +516,7 @@ def test_check_names_what_no_route_takes(
     assert "not used" not in run(capsys, "check", "lwr_udp")[1]
 
 
-def test_without_a_command_the_start_page_is_shown(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_start_page_is_shown_without_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
     shown = []
     monkeypatch.setattr(view.Session, "choose", lambda session: shown.append(session.options))
     monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: True)
@@ -537,7 +537,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.35], [1.5708, 0.0, 0.0, 0.0], [0.0, 0.4, 0.0, 0.0
 
 
 @pytest.mark.parametrize("unit", ["", "_deg"])
-def test_a_robot_file_with_any_name_is_a_robot(unit: str, tmp_path, capsys):
+def test_robot_file_with_any_name_is_a_robot(unit: str, tmp_path, capsys):
     file = tmp_path / "crane.toml"
     file.write_text(ROBOT.replace("params", f"params{unit}"))
     status, out, _ = run(capsys, "check", str(file))
@@ -548,7 +548,7 @@ def test_a_robot_file_with_any_name_is_a_robot(unit: str, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("word", ["True", "FALSE"])
-def test_truth_as_in_python_gets_a_hint(word: str, tmp_path, capsys):
+def test_python_booleans_get_a_hint(word: str, tmp_path, capsys):
     file = tmp_path / "scene.toml"
     file.write_text(f'[robots.lwr]\nmodel = "lwr"\nshow_arrows = {word}\n')
     status, _, err = run(capsys, "check", str(file))
@@ -556,7 +556,7 @@ def test_truth_as_in_python_gets_a_hint(word: str, tmp_path, capsys):
     assert f"write {word.lower()} in lower case" in err
 
 
-def test_a_run_of_which_nothing_is_expected_says_so(tmp_path, capsys):
+def test_run_without_expectations_reports_so(tmp_path, capsys):
     file = tmp_path / "scene.toml"
     file.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.01\n')
     status, out, _ = run(capsys, "simulate", str(file))

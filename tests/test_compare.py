@@ -32,7 +32,7 @@ def shifted(log: RunLog, **signals: float) -> RunLog:
     start=st.floats(-50.0, 50.0),
     rates=st.tuples(st.sampled_from([250.0, 500.0, 1000.0]), st.sampled_from([250.0, 1000.0])),
 )
-def test_a_known_shift_is_found_within_a_sample(
+def test_known_shift_is_found_within_a_sample(
     delay: float, start: float, rates: tuple[float, float]
 ) -> None:
     a = sine_run(rate=rates[0], duration=4.0)
@@ -45,7 +45,7 @@ def test_a_known_shift_is_found_within_a_sample(
     assert shift.correlation > 0.99
 
 
-def test_a_part_of_a_motion_is_found_in_it() -> None:
+def test_part_of_a_motion_is_found_in_it() -> None:
     a = sine_run(duration=6.0)
     part = a.of("arm", "joint_angles")[3000:4500]
     noisy = part + np.random.default_rng(1).normal(0.0, 1e-4, part.shape)
@@ -54,7 +54,7 @@ def test_a_part_of_a_motion_is_found_in_it() -> None:
     assert shift.seconds == pytest.approx(3.0, abs=1e-3)
 
 
-def test_of_a_motion_that_repeats_itself_the_nearest_shift_is_taken() -> None:
+def test_nearest_shift_of_a_periodic_motion_is_chosen() -> None:
     t = np.arange(5000) * 1e-3
     periodic = np.sin(2.0 * np.pi * t)[:, None]
     shift = find_shift(t, periodic, t, np.sin(2.0 * np.pi * (t - 0.1))[:, None])
@@ -62,7 +62,7 @@ def test_of_a_motion_that_repeats_itself_the_nearest_shift_is_taken() -> None:
     assert shift.seconds == pytest.approx(-0.1, abs=1e-3)
 
 
-def test_without_motion_nothing_is_aligned() -> None:
+def test_runs_without_motion_are_not_aligned() -> None:
     a = sine_run()
     still = RunLog(
         a.robots, {**a.signals, "arm_joint_angles": np.zeros((4001, 2))}, a.times, "still"
@@ -104,7 +104,7 @@ def test_joints_of_other_names_are_compared_in_their_order_with_a_warning(
         align(a, turned)
 
 
-def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:
+def test_differences_have_the_known_peak_and_rms() -> None:
     a, b = sine_run(amplitude=3.0), sine_run(amplitude=1.0)
     found = {(each.signal, each.joint): each for each in compare(align(a, b))}
     # 2 Nm sin(4 pi t) over whole periods.
@@ -118,7 +118,7 @@ def test_differences_have_the_peak_and_rms_that_they_were_made_with() -> None:
     assert (found["joint_angles", "turn"].unit, found["joint_angles", "slide"].unit) == ("rad", "m")
 
 
-def test_the_sign_is_that_of_the_first_less_the_second() -> None:
+def test_difference_is_the_first_minus_the_second() -> None:
     a = sine_run()
     b = shifted(a, arm_torques=0.25)
     found = {each.signal: each for each in compare(align(a, b)) if each.joint == "turn"}
@@ -138,7 +138,7 @@ def test_runs_of_different_rates_meet_at_the_times_of_the_faster_one() -> None:
     np.testing.assert_array_equal(align(b, a).times, a.times)
 
 
-def test_only_what_both_have_is_compared() -> None:
+def test_only_common_signals_are_compared() -> None:
     a = sine_run()
     only = {"arm_joint_angles": a.signals["arm_joint_angles"][1000:3001]}
     b = RunLog(a.robots, only, a.times[1000:3001] + 7.0, "b")
@@ -168,7 +168,7 @@ def test_values_at_other_times_are_those_of_numpy(count: int, seed: int) -> None
     assert np.isnan(at_times(times, values, np.array([times[0] - 1.0, times[-1] + 1.0]))).all()
 
 
-def test_what_cannot_be_compared_is_told() -> None:
+def test_incomparable_runs_are_rejected() -> None:
     a, late = sine_run(name="a"), sine_run(start=20.0, name="late")
     with raises_with(
         UsageError,
@@ -213,7 +213,7 @@ def test_tolerances_tell_joint_time_and_both_numbers() -> None:
     assert len(exceeded(compare(align(a, blank)), torque=1e9)) == 2  # unknown is not the same
 
 
-def test_a_first_row_in_which_nothing_was_commanded_is_not_compared() -> None:
+def test_first_row_without_commands_is_not_compared() -> None:
     log = sine_run()
     commanded = log.signals["arm_commanded_torques"].copy()
     commanded[0] = 0.0
@@ -261,7 +261,7 @@ def command(*arguments: object) -> int:
 
 
 @pytest.mark.slow
-def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
+def test_exit_status_is_0_for_equal_runs_and_1_beyond_a_tolerance(
     recorded: tuple[Path, Path], capsys: pytest.CaptureFixture[str]
 ) -> None:
     soft, stiff = recorded
@@ -293,7 +293,7 @@ def test_the_command_is_0_for_the_same_and_1_beyond_a_tolerance(
         (["--source", "udp"], "no source 'udp' in"),
     ],
 )
-def test_the_command_says_what_is_wrong(
+def test_invalid_arguments_are_rejected(
     recorded: tuple[Path, Path],
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
@@ -304,7 +304,7 @@ def test_the_command_says_what_is_wrong(
 
 
 @pytest.mark.gl
-def test_of_many_recordings_there_is_a_row_for_each(
+def test_several_recordings_have_one_row_each(
     recorded: tuple[Path, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     soft, stiff = recorded
@@ -354,14 +354,14 @@ def test_of_many_recordings_there_is_a_row_for_each(
         (["--each", "a", "--tolerance-angle", "1"], "--tolerance-angle cannot be combined with"),
     ],
 )
-def test_what_many_recordings_cannot_be_asked_is_told(
+def test_incompatible_options_for_several_recordings_are_rejected(
     arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert command(*arguments) == 2
     assert said in capsys.readouterr().err
 
 
-def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
+def test_image_shows_the_difference_as_arrows_and_the_other_run_as_double(
     recorded: tuple[Path, Path], tmp_path: Path
 ) -> None:
     from sero_mj.data.drive.mirror import Mirror
@@ -388,7 +388,7 @@ def test_in_the_picture_arrows_show_the_difference_and_a_double_the_other(
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_path: Path) -> None:
+def test_video_has_the_duration_of_the_runs(recorded: tuple[Path, Path], tmp_path: Path) -> None:
     import av
 
     film = tmp_path / "film.mp4"
@@ -402,7 +402,7 @@ def test_the_film_lasts_as_long_as_the_runs(recorded: tuple[Path, Path], tmp_pat
 
 @pytest.mark.thorough
 @pytest.mark.gl
-def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) -> None:
+def test_differences_are_blue_or_orange_and_the_other_run_green(tmp_path: Path) -> None:
     from PIL import Image
 
     from sero_mj.viewer.image.render import render_image
@@ -433,7 +433,7 @@ def test_a_difference_is_blue_or_orange_and_the_other_one_green(tmp_path: Path) 
 
 
 @pytest.mark.extensions
-def test_a_joint_that_is_measured_as_commanded_has_nothing_to_explain(tmp_path, capsys) -> None:
+def test_joint_measured_as_commanded_has_no_explanation(tmp_path, capsys) -> None:
     """Even if its constant torque looks like a sensor that is stuck."""
     scene = tmp_path / "crane.toml"
     scene.write_text(

@@ -277,7 +277,7 @@ def test_camera_set_by_the_user_is_unchanged() -> None:
 
 def test_image_sizes_out_of_range_are_rejected(world) -> None:
     for size in ((0, 100), (100, 20000)):
-        expected = {"found": size, "expected": "1 to 16384 pixels a side"}
+        expected = {"found": size, "expected": "1 to 16384 pixels per side"}
         with raises_with(RenderError, key="image size", **expected):
             HeadlessRenderer(world, *size)
 

@@ -31,6 +31,7 @@ ORDER = (
     "data.drive",
     "data.send",
     "simulate.control",
+    "simulate.external_control",
     "simulate.runs",
     "simulate.external_control",
     "simulate",

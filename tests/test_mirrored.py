@@ -70,7 +70,7 @@ def test_all_frames_of_the_model_are_mirror_images_at_equal_joint_values(convent
 
 
 @pytest.mark.parametrize("convention", ["craig", "standard"])
-def test_the_jacobian_is_that_of_finite_differences(convention: str) -> None:
+def test_jacobian_equals_finite_differences(convention: str) -> None:
     left = make(convention, mirrored=True)
     q, step = angles(3), 1e-6 * np.eye(LINKS)
     J = left.dh.jacobian(q, left.base_frame, left.T_n_flange)
@@ -149,7 +149,7 @@ def volume(model: mujoco.MjModel, mesh: int) -> float:
 
 
 @pytest.mark.parametrize("fields", [{}, {"mesh": True}])
-def test_geoms_are_where_the_mirror_shows_them(fields: dict[str, bool]) -> None:
+def test_geoms_are_mirror_images(fields: dict[str, bool]) -> None:
     if fields:
         base = {False: BASE, True: S @ BASE @ S}
         right, left = (
@@ -173,7 +173,7 @@ def test_geoms_are_where_the_mirror_shows_them(fields: dict[str, bool]) -> None:
     np.testing.assert_allclose(found[1], found[0] * [1, -1, 1], atol=1e-6)
 
 
-def test_a_mirrored_hand_on_a_mirrored_arm_is_the_image_of_the_hand_on_the_arm() -> None:
+def test_mirrored_hand_on_a_mirrored_arm_mirrors_the_hand_on_the_arm() -> None:
     worlds = []
     for mirrored in (False, True):
         at = frame(rotation_from_rpy(np.array([0.5, 0.1, 0.2])), np.array([0.02, 0.03, 0.04]))
@@ -192,7 +192,7 @@ def test_a_mirrored_hand_on_a_mirrored_arm_is_the_image_of_the_hand_on_the_arm()
     np.testing.assert_allclose(worlds[1], S @ worlds[0] @ S, atol=1e-13)
 
 
-def test_a_piece_of_mjcf_cannot_be_mirrored() -> None:
+def test_mjcf_object_cannot_be_mirrored() -> None:
     child = {"name": "t", "mjcf": "<mujoco><worldbody><geom size='.1'/></worldbody></mujoco>"}
     with pytest.raises(DeclarationError) as caught:
         make("craig", mirrored=True, children=[child])

@@ -313,11 +313,11 @@ def test_single_robot_is_on_the_floor(path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<mujoco/>", "found no hinge and no slide; expected a robot with joints"),
+        ("<mujoco/>", "has no hinge and no slide; expected a robot with joints"),
         ("<mujoco><worldbody><body/></mujoco>", "bad.xml: cannot be read: XML parse error"),
         (
             ALONE.format('<joint type="ball"/><geom size="1"/>'),
-            "found no hinge and no slide",
+            "has no hinge and no slide",
         ),
         (
             ALONE.format('<joint/><geom type="mesh" mesh="m"/>'),
@@ -337,7 +337,7 @@ def test_ball_joints_are_fixed_with_a_warning(caplog):
     with caplog.at_level(logging.WARNING):
         robot = SerialRobot.from_mjcf(text, name="arm")
     assert robot.n == 1
-    assert "ball joints are fixed, because they have no single axis: wrist" in caplog.text
+    assert "ball joints become fixed joints, because they have no single axis: wrist" in caplog.text
 
 
 def test_mjspec_and_mjcf_text_can_be_robots():
@@ -493,7 +493,7 @@ def test_couplings_are_the_linear_constraints_of_joints_and_tendons(caplog):
         ("j2, j7", "it is not linear"),
         ("j7", "a coupling has two joints"),
         ("j3", "it contains a joint that is not part of the robot"),
-        ("j1, j7", "they are coupled already"),
+        ("j1, j7", "the joints are already coupled"),
     ):
         assert f"the constraint of {who} is left out: {reason}" in caplog.text
 

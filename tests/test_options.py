@@ -111,7 +111,7 @@ def bake(*arguments: str) -> Bake:
     return read_options(Bake, vars(parser_of(Bake).parse_args([*arguments])))
 
 
-def test_what_is_not_given_has_its_default_and_is_known_as_not_given() -> None:
+def test_omitted_options_have_defaults_and_are_known_as_omitted() -> None:
     plain = bake("cake")
     assert (plain.cake, plain.others, plain.kind, plain.hot) == ("cake", [], "short", False)
     assert (plain.duration, plain.size, plain.names, plain.port) == (30.0, (300, 200), [], None)
@@ -155,7 +155,7 @@ def test_text_becomes_what_is_declared() -> None:
         (["--kind", "puff", "--sugar"], "", "--sugar is for --kind short"),
     ],
 )
-def test_what_is_wrong_is_said_in_the_words_of_the_command_line(
+def test_errors_use_the_names_of_the_command_line(
     arguments: list[str], key: str, said: str
 ) -> None:
     with pytest.raises(DeclarationError) as caught:
@@ -165,13 +165,13 @@ def test_what_is_wrong_is_said_in_the_words_of_the_command_line(
     assert problem.message.startswith(said)
 
 
-def test_all_that_is_wrong_is_said_at_once() -> None:
+def test_all_errors_are_reported_at_once() -> None:
     with pytest.raises(DeclarationError) as caught:
         bake("cake", "--port", "x", "--size", "x", "--kind", "x")
     assert {problem.key for problem in caught.value.problems} == {"--port", "--size", "--kind"}
 
 
-def test_help_says_what_docstrings_say_with_defaults() -> None:
+def test_help_shows_docstrings_and_defaults() -> None:
     text = " ".join(parser_of(Bake).format_help().split())
     for said in (
         "usage: oven [-h] [--kind {short,puff}] [--hot] [--duration S] [--start S] [--size WxH] "
@@ -189,7 +189,7 @@ def test_help_says_what_docstrings_say_with_defaults() -> None:
         assert said in text, said
 
 
-def test_what_has_no_default_is_demanded(capsys: pytest.CaptureFixture[str]) -> None:
+def test_options_without_a_default_are_required(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         parser_of(Required).parse_args([])
     assert "required: -o/--out, --vary" in capsys.readouterr().err
@@ -197,7 +197,7 @@ def test_what_has_no_default_is_demanded(capsys: pytest.CaptureFixture[str]) -> 
     assert read_options(Required, vars(given)).vary == ["b", "c"]
 
 
-def test_options_that_are_given_can_be_refused() -> None:
+def test_options_can_be_rejected() -> None:
     bake("cake").refuse(("hot", "names"), " is not for cakes")
     with raises_with(UsageError, reason="--for is not for cakes"):
         bake("cake", "--for", "me").refuse(("hot", "names"), " is not for cakes")
@@ -217,8 +217,8 @@ def test_clicks_are_text_or_values(clicks: list[Any], found: list[Any]) -> None:
 
 
 @pytest.mark.parametrize("click", ["3", "x,4", "3,4,5", "3,4,shift,double", "3,4,,"])
-def test_what_is_no_click_is_told(click: str) -> None:
-    expected = "X,Y in pixels, or X,Y and shift, double, hover or touch"
+def test_invalid_clicks_are_rejected(click: str) -> None:
+    expected = "X,Y in pixels, or X,Y followed by ,shift ,double ,hover or ,touch"
     with raises_with(key="clicks.0", found=click, expected=expected):
         ImageOptions(clicks=[click])
 
@@ -234,7 +234,7 @@ def test_switches_are_text_or_a_mapping() -> None:
         ImageOptions(shown=["arrows"])
 
 
-def test_options_take_from_others_what_they_know() -> None:
+def test_options_copy_common_fields_of_other_options() -> None:
     film = VideoOptions(size=(64, 48), duration=2.0, camera="top")
     picture = ImageOptions.taken_from(film)
     assert (picture.size, picture.camera) == ((64, 48), "top")

@@ -42,12 +42,12 @@ def test_states_are_converted_to_our_units_and_signs() -> None:
     np.testing.assert_allclose(values["torques"][0], [-1.0, 2.0])
 
 
-def test_the_structure_cannot_be_declared() -> None:
+def test_structure_cannot_be_declared() -> None:
     with pytest.raises(ValueError, match="the protocol Two determines this field"):
         two.TwoReceiver(structure="angles:2d")
 
 
-def test_a_client_commands_torques_and_a_missing_answer_ends_the_run() -> None:
+def test_client_commands_torques_and_a_missing_answer_ends_the_run() -> None:
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
         declared = two.TwoClient(port=sock.getsockname()[1], patience=0.5)

@@ -193,7 +193,7 @@ def test_passes_are_not_written_in_lossy_formats(lwr, tmp_path) -> None:
     for path in ("parts.jpg", "parts.webp"):
         with pytest.raises(RenderError, match=r"\.png, \.npy"):
             render_image(scene, tmp_path / path, render_pass="segmentation")
-    with pytest.raises(RenderError, match="videos change the colors"):
+    with pytest.raises(RenderError, match="video compression changes the colors"):
         render_video(scene, tmp_path / "film.mp4", render_pass="depth")
     assert list(tmp_path.iterdir()) == []
 

@@ -177,7 +177,7 @@ def test_send_sends_a_recording(
     assert [listener.recv(1000) for _ in range(6)] == [*PACKETS, PACKETS[0]]
     out = capsys.readouterr().out
     assert f"sending {recording}, source arm, bit for bit: 5 packets, 0.40 s, to UDP" in out
-    assert re.search(r"^sent 6 packets in 0\.\d+ s .* late by \d+ us \(median\)", out, re.MULTILINE)
+    assert re.search(r"^sent 6 packets in 0\.\d+ s .* delay \d+ us \(median\)", out, re.MULTILINE)
 
 
 @pytest.mark.extensions

@@ -31,7 +31,7 @@ def run_command(*arguments: str, folder: Path) -> tuple[int, str]:
     return run_in_folder(arguments, folder, dict(os.environ))
 
 
-def test_a_capture_has_the_poses_of_the_model_and_hides_doubles_without_a_pose() -> None:
+def test_capture_has_the_poses_of_the_model_and_hides_doubles_without_a_pose() -> None:
     found = capture(load_scene("impedance_push"), fps=10, seconds=1.0)
     assert found.frames == 11
     assert np.allclose(np.linalg.norm(found.rotations, axis=2), 1.0)
@@ -40,7 +40,7 @@ def test_a_capture_has_the_poses_of_the_model_and_hides_doubles_without_a_pose()
     assert np.abs(found.positions).max() < 10
 
 
-def test_a_part_of_a_run_begins_where_it_is_asked_to() -> None:
+def test_part_of_a_run_begins_at_the_requested_time() -> None:
     whole = capture(load_scene("impedance_push"), fps=10, seconds=1.0)
     part = capture(load_scene("impedance_push"), fps=10, begin=0.5, seconds=0.3)
     assert part.frames == 4
@@ -49,7 +49,7 @@ def test_a_part_of_a_run_begins_where_it_is_asked_to() -> None:
     assert last.frames == 6
 
 
-def test_a_run_of_hours_is_refused_before_it_is_collected_with_how_long_it_may_be() -> None:
+def test_too_long_run_is_rejected_before_capture_with_the_maximum_duration() -> None:
     with pytest.raises(RenderError) as error:
         capture(load_scene("impedance_push"), seconds=36_000.0)
     most = float(str(error.value).split("at most ")[1].split(" s")[0])
@@ -82,7 +82,7 @@ def test_marks_are_what_was_done_found_and_expected() -> None:
     assert marks_of(scene, 3.5) != marks
 
 
-def test_the_legend_has_the_scale_of_an_arrow_while_the_arrow_is_there() -> None:
+def test_legend_has_the_scale_of_an_arrow_while_it_is_visible() -> None:
     scene = load_scene("impedance_push")
     scene.note = "a note"
     found = capture(scene, fps=10, begin=0.5, seconds=3.0)
@@ -94,14 +94,14 @@ def test_the_legend_has_the_scale_of_an_arrow_while_the_arrow_is_there() -> None
     assert all("round arrows: joint torque\n" in text for text in found.legend)
 
 
-def test_only_decor_that_stands_in_the_world_is_stored() -> None:
+def test_only_world_decor_is_stored() -> None:
     found = capture(load_scene("stewart"), seconds=0.1, wait=0.0)
     assert found.silent == ["udp"]
     assert all((item.rows["emission"] < 1.0).all() for item in found.items)
     assert "no data" in found.notes[-1]
 
 
-def test_a_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_page_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as error:
         write_page(capture(load_scene("lwr")), tmp_path / "none" / "lwr.html")
     assert "lwr.html" in str(error.value)
@@ -135,7 +135,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.thorough
-def test_a_recording_is_exported_by_the_scene_in_it_also_when_it_is_torn(
+def test_recording_is_exported_with_its_own_scene_even_if_truncated(
     tmp_path: Path, whole: Path
 ) -> None:
     torn = tmp_path / "torn.mcap"
@@ -147,7 +147,7 @@ def test_a_recording_is_exported_by_the_scene_in_it_also_when_it_is_torn(
         assert page.stat().st_size < 600_000
 
 
-def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole: Path) -> None:
+def test_recording_without_an_intact_packet_leaves_no_page(tmp_path: Path, whole: Path) -> None:
     torn = tmp_path / "torn.mcap"
     torn.write_bytes(whole.read_bytes()[:30_000])
     status, said = run_command("export", str(torn), "-o", "torn.html", folder=tmp_path)
@@ -156,7 +156,7 @@ def test_a_recording_without_a_whole_packet_leaves_no_page(tmp_path: Path, whole
 
 
 @pytest.mark.parametrize("what", ["test", "compare"])
-def test_javascript_passes_its_unit_tests_and_the_bundle_is_what_its_sources_make(
+def test_javascript_unit_tests_pass_and_the_bundle_is_up_to_date(
     what: str, node_modules: Path
 ) -> None:
     done = subprocess.run([ROOT / ".ci" / "js", what], capture_output=True, text=True, check=False)
@@ -164,7 +164,7 @@ def test_javascript_passes_its_unit_tests_and_the_bundle_is_what_its_sources_mak
 
 
 @pytest.mark.thorough
-def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_path: Path) -> None:
+def test_report_has_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_path: Path) -> None:
     setting = "expect.final_flange_travel.below=0.00001"
     status, said = run_command(
         "simulate", "impedance_push", "--report", "report", "--set", setting, folder=tmp_path
@@ -182,7 +182,7 @@ def test_a_report_is_a_page_a_figure_json_and_a_test_for_each_expectation(tmp_pa
 
 
 @pytest.mark.thorough
-def test_a_report_without_matplotlib_lacks_its_figure_only(tmp_path, monkeypatch, caplog) -> None:
+def test_report_without_matplotlib_lacks_only_its_figure(tmp_path, monkeypatch, caplog) -> None:
     monkeypatch.setattr(run_report, "find_spec", lambda _: None)
     run_report.write_report(simulated(800.0), tmp_path, {})
     made = {file.name for file in tmp_path.iterdir()}
@@ -191,9 +191,7 @@ def test_a_report_without_matplotlib_lacks_its_figure_only(tmp_path, monkeypatch
 
 
 @pytest.mark.thorough
-def test_a_page_of_two_runs_has_the_second_as_the_firsts_double(
-    tmp_path: Path, whole: Path
-) -> None:
+def test_page_of_two_runs_shows_the_second_as_a_double(tmp_path: Path, whole: Path) -> None:
     run_command(
         "simulate", "impedance_push", "--record", "b.mcap", "--set",
         "controllers.lwr.stiffness=400", folder=tmp_path,

@@ -146,7 +146,7 @@ def test_failed_downloads_are_reported(tmp_path: Path) -> None:
     status, output = run_command(["check", "panda_description"], tmp_path, environment)
     assert status == 2
     (line,) = [each for each in output.splitlines() if each.startswith("sero-mj: ")]
-    assert line.startswith("sero-mj: panda_description: robot_descriptions cannot fetch it: ")
+    assert line.startswith("sero-mj: robot_descriptions cannot fetch panda_description: ")
     assert "Traceback" not in output
 
 

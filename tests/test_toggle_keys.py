@@ -38,7 +38,7 @@ def test_message_describes_what_is_shown_now(world: World) -> None:
     assert press("b") == "billboards: on"
     assert press("d") == "transparent doubles: off"
     assert press("v") == "no smart arrows in this scene"
-    assert press("r") == "reset to what the scene declares"
+    assert press("r") == "reset to the declared values"
     assert toggles.arrows[:7].all()
     assert toggles.doubles.all()
     assert not toggles.billboards.any()

@@ -330,7 +330,7 @@ def test_inner_planar_joints_become_three_and_floating_ones_are_fixed(
     normal = about(np.array([0, 0, 1]), 1.0) @ [0, 1, 0]
     assert moved @ normal == pytest.approx(0, abs=1e-12)
     assert np.linalg.norm(moved) == pytest.approx(np.hypot(0.3, 0.2))
-    assert "floating joints inside a robot are fixed at their origins: 'loose'" in (
+    assert "floating joints inside a robot become fixed joints at their origins: 'loose'" in (
         file.described.warnings
     )
 
@@ -400,8 +400,8 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
         (
             joint("1", "a", "b") + joint("2", "b", "c"),
-            ["robot.urdf:1: link 'd': is not the child of a joint; expected one, because the "
-             "base is 'a'"],
+            ["robot.urdf:1: link 'd': is not the child of a joint, but the base is 'a'; "
+             "expected a single base"],
         ),
         (
             joint("1", "a", "b") + joint("2", "c", "d") + joint("3", "d", "c"),
@@ -639,7 +639,7 @@ def test_xacro_is_expanded_if_installed(tmp_path: Path) -> None:
     tables = described(tmp_path, XACRO).tables
     assert np.array(tables["flange_frame"])[:3, 3].tolist() == [0, 0, 0.5]
     wrong = XACRO.replace("2 * length", "2 * lenth")
-    assert "xacro cannot expand it" in problems(tmp_path, wrong)[0]
+    assert "xacro cannot expand the file" in problems(tmp_path, wrong)[0]
     included = XACRO.replace("<link", '<xacro:include filename="$(find odd)/x.xacro"/><link', 1)
     assert (
         "package 'odd' not found; set its folder with --package odd=DIR"

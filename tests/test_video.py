@@ -104,7 +104,7 @@ def test_unknown_video_formats_and_rates_are_rejected(tmp_path) -> None:
         expected="a name that ends in .mp4, .webm, .gif",
     ):
         VideoWriter(tmp_path / "x.avi", 64, 48, 30.0)
-    expected = "at most 50: programs show a faster GIF slowly"
+    expected = "at most 50, because programs play faster GIFs slowly"
     with raises_with(RenderError, found=60.0, of="frames per second", expected=expected):
         VideoWriter(tmp_path / "x.gif", 64, 48, 60.0)
     assert [default_fps(f"x{suffix}") for suffix in (".mp4", ".webm", ".GIF")] == [30, 30, 20]

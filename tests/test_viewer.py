@@ -33,18 +33,20 @@ from sero_mj.viewer.program.viewer import Viewer, _to_show
         ("lwr", {"web": False, "host": "::"}, "host: found '::'; it is for a page"),
     ],
 )
-def test_what_it_cannot_do_is_told(scene: Any, options: dict[str, Any], message: str) -> None:
+def test_unsupported_options_are_rejected(
+    scene: Any, options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(SeroError) as caught:
         sero_mj.view(scene, **{"web": True, **options})
     assert message in str(caught.value)
 
 
-def test_a_robot_alone_is_no_scene() -> None:
+def test_robot_alone_is_rejected_as_scene() -> None:
     with pytest.raises(UsageError, match=r"found SerialRobot; .*; Scene\(robots=\[...\]\) holds"):
         sero_mj.view(SerialRobot.from_model("lwr"), web=True)  # type: ignore[arg-type]
 
 
-def test_the_look_is_of_the_picture_and_not_of_the_user_s_scene() -> None:
+def test_look_option_does_not_change_the_user_scene() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     for given in (scene, "lwr"):
         shown = _to_show(given, "dark")
@@ -52,7 +54,7 @@ def test_the_look_is_of_the_picture_and_not_of_the_user_s_scene() -> None:
     assert scene.view.look == "light"
 
 
-def test_an_overlay_looks_as_its_model_does() -> None:
+def test_overlay_has_the_look_of_its_model() -> None:
     joint = '<body><joint axis="0 0 1"/><geom size=".1"/></body>'
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
@@ -62,12 +64,12 @@ def test_an_overlay_looks_as_its_model_does() -> None:
         sero_mj.view(overlay, web=True, look="dark")
 
 
-def test_what_cannot_be_called_is_no_callback() -> None:
+def test_callback_must_be_callable() -> None:
     with pytest.raises(UsageError, match=r"on_click: found int; expected callback\(picked, gest"):
         Viewer.on_click(None, 5)  # type: ignore[arg-type]
 
 
-def test_an_interrupt_while_it_is_loaded_leaves_no_traceback(tmp_path: Path) -> None:
+def test_interrupt_while_loading_prints_no_traceback(tmp_path: Path) -> None:
     # As if Ctrl+C came while a library is being imported.
     (tmp_path / "numpy.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
     root = Path(sero_mj.__file__).parent.parent

@@ -54,7 +54,7 @@ def viewer() -> Iterator[Viewer]:
         yield viewer
 
 
-def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -> None:
+def test_viewer_is_shown_without_calls_and_no_call_waits_for_it(viewer: Viewer) -> None:
     assert until(lambda: viewer.frame_count > 5, PATIENCE)
     assert viewer.url is not None and answers(viewer.url)
     process = process_of(viewer)
@@ -71,7 +71,7 @@ def test_it_is_shown_without_any_call_and_no_call_waits_for_it(viewer: Viewer) -
     assert until(lambda: viewer.frame_count > shown, PATIENCE)
 
 
-def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> None:
+def test_source_data_comes_back_and_inputs_persist(viewer: Viewer) -> None:
     viewer.robot("mine").joint_angles = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7]
     viewer.set("mine.torques", np.arange(7.0))
     simulated = viewer.robot("lwr")
@@ -96,7 +96,7 @@ def test_what_sources_bring_comes_back_and_what_is_set_stays(viewer: Viewer) -> 
 
 
 @pytest.mark.thorough
-def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
+def test_image_includes_all_previous_inputs(viewer: Viewer) -> None:
     viewer.set("mine.joint_angles", np.zeros(7))
     before = viewer.image()
     viewer.set("mine.joint_angles", [0, 1.5, 0, 0, 0, 0, 0])
@@ -109,7 +109,7 @@ def test_a_picture_has_all_that_was_set_before(viewer: Viewer) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(NO_BROWSER), reason=f"needs {', '.join(NO_BROWSER)}")
-def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser: Any) -> None:
+def test_browser_sees_the_viewer_live_without_calls(viewer: Viewer, browser: Any) -> None:
     states: list[str] = []
 
     def watch(socket: Any) -> None:
@@ -131,7 +131,7 @@ def test_a_browser_sees_it_live_while_nothing_is_called(viewer: Viewer, browser:
 
 
 @pytest.mark.thorough
-def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
+def test_second_viewer_replaces_the_first_and_a_dead_one_does_not_stop_the_loop(
     capfd: pytest.CaptureFixture[str], caplog: pytest.LogCaptureFixture
 ) -> None:
     first = sero_mj.view("lwr", web=True)
@@ -162,7 +162,7 @@ def test_opened_again_it_replaces_and_what_dies_does_not_take_the_loop_along(
 
 
 @pytest.mark.thorough
-def test_what_goes_wrong_there_is_told_here(caplog: pytest.LogCaptureFixture) -> None:
+def test_errors_of_the_viewer_process_are_reported(caplog: pytest.LogCaptureFixture) -> None:
     with sero_mj.view("lwr", web=True) as viewer:
         # As if a driver failed: it writes why, and ends.
         viewer._process._send(("picture",))
@@ -204,7 +204,7 @@ sys.stdin.readline()
 
 
 @pytest.mark.thorough
-def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
+def test_viewer_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
     script = subprocess.Popen(
         [sys.executable, "-c", _OF_A_SCRIPT],
         stdin=subprocess.PIPE,
@@ -231,7 +231,7 @@ def test_it_ends_with_the_script_and_not_before(tmp_path: Path) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(NO_WINDOW), reason=f"needs {', '.join(NO_WINDOW)}")
-def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
+def test_window_is_drawn_while_the_loop_waits_and_clicks_come_back(
     monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with screen() as display:
@@ -267,7 +267,7 @@ def test_a_window_is_drawn_while_the_loop_stands_still_and_clicks_come_back(
             assert process_of(viewer).wait(20) == 0
 
 
-def test_a_class_of_a_script_is_refused_with_what_to_do() -> None:
+def test_unpicklable_class_of_a_script_is_rejected() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
     with pytest.raises(UsageError, match=r"cannot be sent to the viewer's process .*picklable"):
@@ -291,7 +291,7 @@ time.sleep(100)
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="Linux and macOS")
-def test_it_ends_with_a_killed_script_of_which_copies_live_on(tmp_path: Path) -> None:
+def test_viewer_ends_with_a_killed_script_even_if_forks_survive(tmp_path: Path) -> None:
     script = subprocess.Popen(
         [sys.executable, "-W", "ignore", "-c", _WITH_FORKS],
         stdin=subprocess.PIPE,

@@ -66,7 +66,7 @@ def test_arrows_are_seen_in_both_colours_and_go_with_their_key(
         page.shows(lambda p, seen=colour: abs(seen(p) - seen(without)) < FEW / 3)
 
 
-def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
+def test_click_on_a_link_shows_its_billboard_and_selects_its_joint(
     served: Served, page: Visitor
 ) -> None:
     page.page.mouse.click(*page.joint(1))
@@ -76,7 +76,7 @@ def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(
     assert served.ask("clicks[-1]") == ["click", "lwr/link2"]
 
 
-def test_a_click_on_an_arrow_shows_its_precise_numbers(served: Served, page: Visitor) -> None:
+def test_click_on_an_arrow_shows_its_precise_values(served: Served, page: Visitor) -> None:
     # An arrow that turns moves away; whatever is seen with arrows is of after the pause.
     served.ask("setattr(w.clock, 'is_paused', True)")
     served.ask("w.toggles.arrows.fill(True)")
@@ -106,13 +106,13 @@ def test_shift_acts_on_the_whole_robot(served: Served, page: Visitor) -> None:
     page.until("document.querySelectorAll('#cards button').length === 7")
 
 
-def test_the_name_of_what_is_under_the_pointer_is_written(served: Served, page: Visitor) -> None:
+def test_name_under_the_pointer_is_shown(served: Served, page: Visitor) -> None:
     page.page.mouse.move(*page.joint(3))
     page.page.locator("#hover", has_text="lwr/link4").wait_for()
     assert served.ask("w.toggles.hover[0]") == "lwr/link4"
 
 
-def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visitor) -> None:
+def test_drag_rotates_the_view_and_is_not_a_click(served: Served, page: Visitor) -> None:
     before, clicks = served.ask("w.navigator.camera.azimuth"), served.ask("len(clicks)")
     mouse = page.page.mouse
     mouse.move(430, 260)
@@ -125,11 +125,11 @@ def test_a_drag_turns_the_view_and_clicks_on_nothing(served: Served, page: Visit
     assert served.ask("len(clicks)") == clicks
 
 
-def test_the_tab_names_the_scene(page: Visitor) -> None:
+def test_tab_title_names_the_scene(page: Visitor) -> None:
     assert page.page.title() == "lwr - sero-mj"
 
 
-def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visitor) -> None:
+def test_wheel_zooms_in_when_scrolled_up(served: Served, page: Visitor) -> None:
     page.page.mouse.move(430, 260)
     far = served.ask("w.navigator.camera.distance")
     page.page.mouse.wheel(0, -100)
@@ -138,7 +138,7 @@ def test_the_wheel_comes_nearer_when_it_is_turned_up(served: Served, page: Visit
     served.until(f"w.navigator.camera.distance > {1.03 * far}")
 
 
-def test_the_panel_switches_what_is_shown(served: Served, page: Visitor) -> None:
+def test_panel_switches_features(served: Served, page: Visitor) -> None:
     page.page.keyboard.press("t")
     axes = page.page.locator("#panel").get_by_label("axes", exact=True)
     axes.check()
@@ -166,7 +166,7 @@ def test_billboards_stay_clear_of_the_panel(served: Served, page: Visitor) -> No
     served.until(f"w.view.size[0] == {SIZE[0]}")
 
 
-def test_a_page_is_dark_or_light_as_its_reader_has_it(page: Visitor) -> None:
+def test_page_follows_the_color_scheme_of_the_browser(page: Visitor) -> None:
     def background() -> float:
         pixels = page.picture()
         return float(pixels[60:100, 5:15].mean())
@@ -179,7 +179,7 @@ def test_a_page_is_dark_or_light_as_its_reader_has_it(page: Visitor) -> None:
     assert background() > 150
 
 
-def test_a_telephone_has_everything_within_its_width(served: Served, page: Visitor) -> None:
+def test_phone_shows_everything_within_its_width(served: Served, page: Visitor) -> None:
     before = page.page.viewport_size
     page.page.set_viewport_size({"width": 390, "height": 844})
     served.until("w.view.size[0] == 390")

@@ -56,7 +56,7 @@ def test_files_are_compressed_for_who_can_read_it(page: WebHost) -> None:
     assert packed.headers["Cross-Origin-Resource-Policy"] == "same-origin"
 
 
-def test_a_file_that_a_browser_has_is_not_sent_again(page: WebHost) -> None:
+def test_cached_file_is_not_sent_again(page: WebHost) -> None:
     first, body = get(page, "/player.js")
     again, nothing = get(page, "/player.js", If_None_Match=first.headers["ETag"])
     assert (again.status, nothing) == (304, b"")
@@ -76,7 +76,7 @@ def test_states_are_compressed_for_who_can_read_it(page: WebHost) -> None:
         assert packed.state["run"] == plain.state["run"]
 
 
-def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
+def test_slow_client_is_waited_for_and_a_silent_one_is_not(
     page: WebHost, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "_REQUEST_TIMEOUT", 0.2)
@@ -99,7 +99,7 @@ def test_a_slow_link_is_waited_for_and_a_silent_one_is_not(
 
 
 @given(st.lists(st.binary(max_size=5000), min_size=1, max_size=6))
-def test_what_is_compressed_is_what_was_given(bodies: list[bytes]) -> None:
+def test_compressed_responses_decode_to_the_original(bodies: list[bytes]) -> None:
     responses = CompressedResponses()
     for body in [*bodies, *bodies]:
         headers = Headers({"Content-Length": str(len(body)), "Cache-Control": "no-store"})
@@ -112,7 +112,7 @@ def test_what_is_compressed_is_what_was_given(bodies: list[bytes]) -> None:
         assert is_packed == (len(body) >= 1024)
 
 
-def test_refusals_are_left_as_they_are() -> None:
+def test_error_responses_are_not_compressed() -> None:
     headers = Headers({"Content-Length": "2000"})
     response = Response(403, "Forbidden", headers, b"a" * 2000)
     CompressedResponses().compress(Request("/", Headers({"Accept-Encoding": "gzip"})), response)

@@ -161,7 +161,7 @@ def check_arrows(page: Any, world: World, data: mujoco.MjData, time: float) -> i
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("sign", sampled([1.0, -1.0], 1))
-def test_a_round_arrow_has_the_vertices_of_pythons_geoms(
+def test_round_arrow_has_the_vertices_of_the_python_geoms(
     opened: Callable[..., Any], sign: float
 ) -> None:
     shares = sign * np.array([0.005, 0.02, 0.1, 0.45, 1.0, 1.3, 3.0])
@@ -176,7 +176,7 @@ def test_a_round_arrow_has_the_vertices_of_pythons_geoms(
 
 
 @pytest.mark.thorough
-def test_round_arrows_turn_as_pythons_geoms_do(opened: Callable[..., Any]) -> None:
+def test_round_arrows_rotate_like_the_python_geoms(opened: Callable[..., Any]) -> None:
     scene = load_scene("impedance_push")
     page = opened(capture(scene, fps=10, seconds=3.0))
     compared = 0
@@ -219,7 +219,7 @@ def shapes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
 
 
 @pytest.mark.thorough
-def test_every_type_of_geom_of_another_package_shows_without_javascript(
+def test_every_type_of_third_party_geom_is_shown_without_javascript(
     opened: Callable[..., Any], shapes: Any
 ) -> None:
     scene = Scene(floor=False)
@@ -304,6 +304,6 @@ def test_names_of_frames_are_text(opened: Callable[..., Any]) -> None:
     assert 0 < name["y"] - at["y"] < 20
 
 
-def test_a_page_without_names_has_no_labels(opened: Callable[..., Any]) -> None:
+def test_page_without_names_has_no_labels(opened: Callable[..., Any]) -> None:
     page = opened(capture(Scene(robots=[SerialRobot.from_model("lwr")])))
     assert page.locator(".label").count() == 0

@@ -27,7 +27,7 @@ def firefox() -> Iterator[Firefox]:
 
 
 @pytest.mark.thorough
-def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Path) -> None:
+def test_exported_file_plays_with_the_values_of_the_run(firefox: Firefox, tmp_path: Path) -> None:
     scene = sero_mj.load_scene("impedance_push")
     sero_mj.export_html(scene, tmp_path / "run.html", seconds=2.0, fps=10)
     firefox.goto(f"{(tmp_path / 'run.html').as_uri()}#t=1")
@@ -53,9 +53,7 @@ def test_a_file_plays_with_the_numbers_of_the_run(firefox: Firefox, tmp_path: Pa
 
 
 @pytest.mark.thorough
-def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
-    firefox: Firefox, tmp_path: Path
-) -> None:
+def test_live_page_shows_data_and_accepts_clicks_and_keys(firefox: Firefox, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push") as served:
         firefox.goto(served.url)
         firefox.until("player.state && player.isInControl && !player.view.isDirty")
@@ -80,7 +78,7 @@ def test_a_live_page_shows_what_comes_and_takes_clicks_and_keys(
 
 
 @pytest.mark.thorough
-def test_cards_are_as_they_were_and_marks_stand_on_the_line(
+def test_billboards_have_their_sizes_and_marks_are_on_the_timeline(
     firefox: Firefox, tmp_path: Path
 ) -> None:
     sizes = "[...document.querySelectorAll('.card')].map((e) => [e.offsetWidth, e.offsetHeight])"

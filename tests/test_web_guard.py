@@ -74,7 +74,7 @@ def refusal_of(port: int, path: str, **options: Any) -> str:
     return bytes(found.value.response.body or b"").decode()
 
 
-def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
+def test_every_path_rejects_unknown_hosts(page: WebHost) -> None:
     for path in PATHS:
         for host in (
             "evil.example",
@@ -92,7 +92,7 @@ def test_every_path_refuses_hosts_of_others(page: WebHost) -> None:
     assert before == 4 * len(PATHS)
 
 
-def test_hosts_that_are_this_machine_are_let_in(page: WebHost) -> None:
+def test_hosts_of_this_machine_are_accepted(page: WebHost) -> None:
     # A tunnel may have any port at its other end.
     for host in ("localhost", "localhost:9000", "127.0.0.1:1", "LOCALHOST.:80", "[::1]:8080"):
         assert get(page.server.port, "/", Host=host)[0] == 200, host
@@ -100,7 +100,7 @@ def test_hosts_that_are_this_machine_are_let_in(page: WebHost) -> None:
     assert get(page.server.port, "/", Host="192.168.1.7")[0] == 403
 
 
-def test_every_path_refuses_origins_of_others(page: WebHost) -> None:
+def test_every_path_rejects_other_origins(page: WebHost) -> None:
     port = page.server.port
     for path in PATHS:
         for origin in (
@@ -120,7 +120,7 @@ def test_every_path_refuses_origins_of_others(page: WebHost) -> None:
         assert read_sections(own.recv(timeout=5))["you"]["id"] == 1
 
 
-def test_what_other_sites_embed_is_refused_and_links_are_not(page: WebHost) -> None:
+def test_cross_site_embedding_is_rejected_and_links_are_not(page: WebHost) -> None:
     for site in ("cross-site", "same-site"):
         other = {"Sec_Fetch_Site": site, "Sec_Fetch_Mode": "no-cors"}
         for path in ("/", "/player.js", "/player.css"):
@@ -133,7 +133,7 @@ def test_what_other_sites_embed_is_refused_and_links_are_not(page: WebHost) -> N
         )
 
 
-def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
+def test_no_response_is_readable_by_other_sites(page: WebHost) -> None:
     token = f"?token={page.server.token}"
     for path in (*PUBLIC, "/sero-mj/page" + token, "/nothing" + token, "/nothing"):
         _, _, headers = get(page.server.port, path)
@@ -146,7 +146,7 @@ def test_no_answer_may_be_read_by_others(page: WebHost) -> None:
         assert "Access-Control-Allow-Origin" not in own.response.headers
 
 
-def test_a_page_asks_its_own_server_only_and_runs_no_script_that_stands_in_it(
+def test_page_requests_its_own_server_only_and_has_no_inline_scripts(
     page: WebHost,
 ) -> None:
     for path in ("/", "/index.html"):
@@ -161,7 +161,7 @@ def test_a_page_asks_its_own_server_only_and_runs_no_script_that_stands_in_it(
         assert " style=" not in text
 
 
-def test_messages_that_are_too_long_end_their_connection(page: WebHost) -> None:
+def test_too_long_messages_end_their_connection(page: WebHost) -> None:
     with connect(f"ws://127.0.0.1:{page.server.port}/live?token={page.server.token}") as own:
         own.send(bytes(2**20 + 1))
         with pytest.raises(ConnectionClosed, match="1009"):  # message too big
@@ -169,7 +169,7 @@ def test_messages_that_are_too_long_end_their_connection(page: WebHost) -> None:
                 own.recv(timeout=5)
 
 
-def test_requests_that_are_none_are_refused(page: WebHost) -> None:
+def test_malformed_requests_are_rejected(page: WebHost) -> None:
     port = page.server.port
     for lines in (
         "GET / HTTP/1.1\r\n\r\n",
@@ -191,7 +191,7 @@ def test_refusals_do_not_fill_the_log(page: WebHost, caplog: pytest.LogCaptureFi
     assert page.server.guard.refused == 30
 
 
-def test_a_page_needs_its_token_and_its_files_do_not(page: WebHost) -> None:
+def test_page_requires_its_token_and_its_files_do_not(page: WebHost) -> None:
     port, token = page.server.port, page.server.token
     assert token is not None and len(token) >= 32
     assert page.url == f"http://localhost:{port}/?token={token}"
@@ -219,13 +219,13 @@ def test_a_page_needs_its_token_and_its_files_do_not(page: WebHost) -> None:
         assert get(port, f"/sero-mj/page?token={token}", **other)[0] == 403
 
 
-def test_every_page_has_a_token_of_its_own(page: WebHost) -> None:
+def test_every_page_has_its_own_token(page: WebHost) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as other:
         assert other.server.token != page.server.token
         assert get(other.server.port, f"/sero-mj/page?token={page.server.token}")[0] == 403
 
 
-def test_a_page_without_a_token_warns_and_is_for_this_machine_only(
+def test_page_without_a_token_warns_and_is_for_this_machine_only(
     home: None, caplog: pytest.LogCaptureFixture
 ) -> None:
     with Mirror(load_scene("lwr")) as mirror:
@@ -239,7 +239,7 @@ def test_a_page_without_a_token_warns_and_is_for_this_machine_only(
             WebHost(mirror, host="0.0.0.0", token=False)
 
 
-def test_a_page_for_other_machines_is_found_by_their_names_for_it(open_page: WebHost) -> None:
+def test_page_for_other_machines_accepts_its_host_names(open_page: WebHost) -> None:
     page, port, token = open_page, open_page.server.port, open_page.server.token
     assert not page.server.is_private
     assert page.urls[0] == page.url
@@ -250,7 +250,7 @@ def test_a_page_for_other_machines_is_found_by_their_names_for_it(open_page: Web
 
 
 @pytest.mark.parametrize("address", ["127.0.0.1", "::1", "0.0.0.0"])
-def test_nobody_else_can_listen_where_browsers_look_for_localhost(address: str, home: None) -> None:
+def test_no_other_process_can_listen_on_the_localhost_addresses(address: str, home: None) -> None:
     if not has_ipv6():
         pytest.skip("this machine has no IPv6 loopback")
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror, host=address) as page:
@@ -271,7 +271,7 @@ def test_nobody_else_can_listen_where_browsers_look_for_localhost(address: str, 
                 WebHost(mirror, host="127.0.0.1", port=thief.getsockname()[1])
 
 
-def test_a_browser_on_this_machine_is_known_as_such(open_page: WebHost) -> None:
+def test_browser_on_this_machine_is_recognized(open_page: WebHost) -> None:
     """For what only who sits at this machine may allow."""
     page, port = open_page, open_page.server.port
 
@@ -396,7 +396,7 @@ class Website:
 @pytest.mark.gl
 @pytest.mark.timeout(200)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Path) -> None:
+def test_website_in_the_browser_of_the_user_gets_nothing(browser: Any, tmp_path: Path) -> None:
     """Its own script, from its own origin, and by a name that it makes lead here."""
     with browser.new_context() as evil, Served(tmp_path, "lwr") as served:
         port = urlsplit(served.url).port
@@ -433,7 +433,7 @@ def test_a_website_in_the_users_browser_gets_nothing(browser: Any, tmp_path: Pat
 @pytest.mark.gl
 @pytest.mark.timeout(200)
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
-def test_a_browser_with_the_address_sees_the_robot(browser: Any, tmp_path: Path) -> None:
+def test_browser_with_the_address_shows_the_robot(browser: Any, tmp_path: Path) -> None:
     context = browser.new_context(viewport={"width": 280, "height": 240}, device_scale_factor=0.5)
     with closing(context), Served(tmp_path, "lwr") as served:
         page = context.new_page()
@@ -486,7 +486,7 @@ def test_another_users_server_on_another_port_learns_nothing(browser: Any, tmp_p
         assert "Cookie" not in "".join(told)
 
 
-def test_the_terminal_says_where_the_page_is_and_what_it_waits_for(tmp_path: Path) -> None:
+def test_terminal_prints_the_address_of_the_page_and_the_expected_packets(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "sero_mj", "view", "lwr_udp", "--web"]
     port = free_udp_port()
     with subprocess.Popen(
@@ -502,7 +502,7 @@ def test_the_terminal_says_where_the_page_is_and_what_it_waits_for(tmp_path: Pat
 @pytest.mark.thorough
 @pytest.mark.skipif(sys.platform == "win32", reason="there are no such signals")
 @pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
-def test_a_page_that_is_ended_leaves_no_files(sent: signal.Signals, tmp_path: Path) -> None:
+def test_terminated_page_leaves_no_files(sent: signal.Signals, tmp_path: Path) -> None:
     import os
 
     folder = tmp_path / "tmp"
@@ -521,7 +521,7 @@ def test_a_page_that_is_ended_leaves_no_files(sent: signal.Signals, tmp_path: Pa
     assert status == (-signal.SIGKILL if sent == signal.SIGKILL else 0)
 
 
-def test_nobody_else_gets_the_port_between_two_pages_of_a_viewer() -> None:
+def test_port_is_held_between_two_pages_of_a_viewer() -> None:
     """Another user's program that listens there would receive the token that browsers send."""
     listener = PageListener("127.0.0.1")
     port = listener.sockets[0].getsockname()[1]

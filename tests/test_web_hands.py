@@ -54,7 +54,7 @@ def test_sliders_links_and_the_clipboard(browser: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path: Path) -> None:
+def test_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,), control="joint") as served:
         visitor = Visitor(browser, served)
         page = visitor.page
@@ -80,7 +80,7 @@ def test_a_handle_moves_the_target_and_the_robot_follows(browser: Any, tmp_path:
 
 
 @pytest.mark.thorough
-def test_a_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -> None:
+def test_long_press_pulls_and_two_fingers_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
         visitor = Visitor(browser, served, has_touch=True)
         served.until("w.clock.time > 0.1")

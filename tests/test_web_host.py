@@ -88,7 +88,7 @@ def joint(page: WebHost, index: int) -> tuple[float, float]:
     return float(x), float(page.decor.view.height - y)
 
 
-def test_a_command_has_switches_and_selection_also_where_the_camera_is_a_photos(
+def test_copied_command_has_toggles_and_selection_also_for_a_photo_camera(
     page: WebHost, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page.toggles.billboards[:] = page.toggles.legend = False
@@ -152,7 +152,7 @@ def test_cards_have_the_text_of_billboards_and_their_places(
     assert not page.toggles.billboards[3]
 
 
-def test_only_what_changes_is_sent_again(page: WebHost, client: PageClient) -> None:
+def test_only_changes_are_sent_again(page: WebHost, client: PageClient) -> None:
     client.until(lambda: page.clock.time > 0.3)
     page.clock.pause()
     client.until(lambda: client.state["time"] == round(page.data.time, 4))
@@ -169,7 +169,7 @@ def test_only_what_changes_is_sent_again(page: WebHost, client: PageClient) -> N
 @pytest.mark.parametrize(
     ("scene", "most"), sampled([["impedance_push", 1000], ["justin_push", 4000]], 1)
 )
-def test_a_state_is_small(scene: str, most: int, home: None) -> None:
+def test_state_messages_are_small(scene: str, most: int, home: None) -> None:
     """Of robots that move, with cards, as sent: compressed."""
     with Mirror(load_scene(scene)) as mirror, WebHost(mirror) as page, PageClient(page) as client:
         client.until(lambda: page.clock.time > 0.3)
@@ -192,7 +192,7 @@ def wire_bytes(client: PageClient) -> int:
     return int(struct.unpack_from("<Q", found, 128)[0])
 
 
-def test_a_quiet_source_makes_its_robot_grey(home: None) -> None:
+def test_silent_source_makes_its_robot_gray(home: None) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -229,7 +229,7 @@ def test_a_quiet_source_makes_its_robot_grey(home: None) -> None:
         assert any("lwr: no data for" in text for text, *_ in client.state["labels"])
 
 
-def test_doubles_that_are_off_are_not_seen(page: WebHost, client: PageClient) -> None:
+def test_hidden_doubles_are_not_visible(page: WebHost, client: PageClient) -> None:
     double = next(iter(page.world.doubles.values()))
     of_double = np.isin(shown_bodies(page.world), double.bodies)
     client.until(lambda: page.clock.time > 1.5)  # pushed away from where its double stands
@@ -243,7 +243,7 @@ def test_doubles_that_are_off_are_not_seen(page: WebHost, client: PageClient) ->
     assert not page.toggles.doubles.any()
 
 
-def test_a_slow_browser_gets_fewer_states_and_the_last_one(page: WebHost) -> None:
+def test_slow_browser_gets_fewer_states_and_the_last_one(page: WebHost) -> None:
     with PageClient(page, answers=False) as slow, PageClient(page) as quick:
         for _ in range(40):
             page.frame()
@@ -291,7 +291,7 @@ def test_keys_of_the_table_act_on_the_page(page: WebHost, client: PageClient) ->
     client.until(lambda: client.state["areas"] == [])
 
 
-def test_a_click_on_a_link_shows_its_billboard_and_tells_who_asks(
+def test_click_on_a_link_shows_its_billboard_and_calls_back(
     page: WebHost, client: PageClient
 ) -> None:
     page.clock.pause()
@@ -313,9 +313,7 @@ def test_a_click_on_a_link_shows_its_billboard_and_tells_who_asks(
     client.until(lambda: client.state["hover"] is None)
 
 
-def test_the_camera_of_a_browser_is_that_of_clicks_and_of_links(
-    page: WebHost, client: PageClient
-) -> None:
+def test_browser_camera_is_used_for_clicks_and_links(page: WebHost, client: PageClient) -> None:
     page.clock.pause()
     page.toggles.arrows[:] = page.toggles.billboards[:] = False
     look_at = [0.0, 0.0, 0.5]
@@ -334,7 +332,7 @@ def test_the_camera_of_a_browser_is_that_of_clicks_and_of_links(
     assert client.state["camera"]["distance"] != 3.0
 
 
-def test_a_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) -> None:
+def test_link_opens_the_page_with_its_view(page: WebHost, client: PageClient) -> None:
     page.toggles.legend = not page.toggles.legend
     page.navigator.camera.azimuth = 12.3456789
     page.clock.seek(1.5)
@@ -372,9 +370,7 @@ def test_panels_switch_what_is_shown_and_the_time_line_scrubs(
     client.until(lambda: client.widget("panel", "Sources")["nodes"] == [])
 
 
-def test_sections_are_as_they_were_left_when_it_is_started_again(
-    page: WebHost, client: PageClient
-) -> None:
+def test_folded_sections_are_restored_after_a_restart(page: WebHost, client: PageClient) -> None:
     assert client.widget("panel", "lwr")["open"] and not client.widget("panel", "Model")["open"]
     client.say("fold", tree="panel", id="Model", open=True)
     client.say("fold", tree="panel", id="lwr/lwr", open=False)
@@ -388,7 +384,7 @@ def test_sections_are_as_they_were_left_when_it_is_started_again(
             assert found == [True, False, True]
 
 
-def test_a_page_has_the_look_that_was_asked_for(page: WebHost, home: None) -> None:
+def test_page_has_the_requested_look(page: WebHost, home: None) -> None:
     def look_of(host: WebHost) -> str:
         with urllib.request.urlopen(host.url) as answer:
             return str(answer.read().decode()).partition('data-look="')[2].partition('"')[0]
@@ -400,7 +396,9 @@ def test_a_page_has_the_look_that_was_asked_for(page: WebHost, home: None) -> No
         assert look_of(dark) == "dark"
 
 
-def test_a_drag_with_control_pulls_and_leaves_the_camera(page: WebHost, client: PageClient) -> None:
+def test_drag_with_control_pulls_without_moving_the_camera(
+    page: WebHost, client: PageClient
+) -> None:
     client.until(lambda: page.clock.time > 0.1)
     camera = page.view_state().camera
     x, y = joint(page, 3)
@@ -443,7 +441,9 @@ def test_one_browser_has_control_and_hands_it_over(page: WebHost, client: PageCl
     client.until(lambda: client.state["control"] == {"holder": client.id, "count": 1})
 
 
-def test_who_leaves_with_a_button_down_holds_nothing(page: WebHost, client: PageClient) -> None:
+def test_browser_that_leaves_with_a_pressed_button_releases_it(
+    page: WebHost, client: PageClient
+) -> None:
     client.until(lambda: page.clock.time > 0.1)
     x, y = joint(page, 3)
     with PageClient(page) as other:
@@ -480,7 +480,7 @@ def fuzzed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[WebHost]:
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(said=st.lists(SAID, max_size=5))
-def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[Any]) -> None:
+def test_page_continues_after_any_browser_messages(fuzzed: WebHost, said: list[Any]) -> None:
     reader = MessageReader(ForScene)
     messages = [message for each in said if (message := reader.read(json.dumps(each)))]
     fuzzed._input.take(Received(message, MessageSender(1, is_local=True)) for message in messages)
@@ -488,7 +488,7 @@ def test_whatever_a_browser_says_the_page_goes_on(fuzzed: WebHost, said: list[An
     assert np.isfinite(fuzzed.navigator.camera.lookat).all()
 
 
-def test_words_that_are_none_are_counted(page: WebHost, client: PageClient) -> None:
+def test_malformed_messages_are_counted(page: WebHost, client: PageClient) -> None:
     for text in ("{", "[]", "null", '{"t": 5}', '{"a": 1}', "[" * 5000):
         client.line.send(text)
     client.line.send(b"\xff\xfe")
@@ -524,7 +524,7 @@ EXAMPLES: dict[type[PageMessage], dict[str, Any]] = {
 KINDS = {kind: kind.model_fields["t"].annotation.__args__[0] for kind in EXAMPLES}  # type: ignore[union-attr]
 
 
-def test_every_kind_of_message_is_declared_once_with_who_may_send_it() -> None:
+def test_every_kind_of_message_is_declared_once_with_its_permission() -> None:
     assert set(MessageReader(ForScene).kinds) == {*EXAMPLES, Got, Control}
     assert set(MessageReader(ForStartPage).kinds) == {OpenTile, OpenShown, Got, Control}
     reader = MessageReader(ForScene)
@@ -572,7 +572,7 @@ def test_only_the_browser_in_control_changes_anything(page: WebHost, client: Pag
         assert state() != before
 
 
-def test_without_the_token_nothing_is_said_to_a_page(page: WebHost) -> None:
+def test_page_sends_nothing_without_the_token(page: WebHost) -> None:
     port, token = page.server.port, page.server.token
     assert token is not None
     for query in ("", "?token=", f"?token={token[:-1]}", f"?token={token}x", f"?tok={token}"):
@@ -592,16 +592,14 @@ DEEP = "[" * 5000
     '{"camera":"1e308,1e308,1e308"}', '{"switches":{"axes":{"a":1}}}', '{"joint":["a"]}',
     json.dumps({"switches": {"x": "9" * 19000}}),
 ])  # fmt: skip
-def test_no_view_of_a_link_ends_the_page(text: str, page: WebHost, client: PageClient) -> None:
+def test_no_view_in_a_link_ends_the_page(text: str, page: WebHost, client: PageClient) -> None:
     client.say("view", text=text)
     client.until(lambda: page.notice.is_bad)
     client.until(lambda: client.state["message"] is not None)
     assert np.isfinite(client.state["time"])
 
 
-def test_a_message_that_is_too_long_ends_its_connection_only(
-    page: WebHost, client: PageClient
-) -> None:
+def test_too_long_message_ends_its_connection_only(page: WebHost, client: PageClient) -> None:
     with PageClient(page) as other:
         other.line.send(json.dumps({"t": "view", "text": "x" * MAX_BYTES}))
         client.until(lambda: client.state["control"]["count"] == 1)
@@ -610,7 +608,7 @@ def test_a_message_that_is_too_long_ends_its_connection_only(
                 other.line.recv(timeout=5)
 
 
-def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) -> None:
+def test_browser_that_sends_too_much_is_throttled(page: WebHost, client: PageClient) -> None:
     """While the page shows no frames, messages stay in the connection, and later all arrive."""
     client.say("key", key="t")
     client.until(lambda: client.state["panel"] is None)
@@ -624,7 +622,7 @@ def test_a_browser_that_sends_too_much_waits(page: WebHost, client: PageClient) 
     assert page.browsers.refused == refused
 
 
-def test_a_page_closes_while_a_browser_waits(home: None) -> None:
+def test_page_closes_while_a_browser_waits(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, WebHost(mirror) as page, PageClient(page) as client:
         with ThreadPoolExecutor(1) as thread, suppress(ConnectionClosed):
             sending = thread.submit(lambda: [client.say("hold") for _ in range(10_000)])
@@ -634,7 +632,7 @@ def test_a_page_closes_while_a_browser_waits(home: None) -> None:
         assert not page.server.is_running
 
 
-def test_no_more_browsers_are_let_in_than_can_be_served(
+def test_number_of_browsers_is_limited(
     page: WebHost, client: PageClient, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(browsers, "_MAX_BROWSERS", 1)
@@ -648,7 +646,7 @@ def test_no_more_browsers_are_let_in_than_can_be_served(
 # ---- where it is served, and how long
 
 
-def test_a_simulation_waits_for_the_first_browser(home: None) -> None:
+def test_simulation_waits_for_the_first_browser(home: None) -> None:
     with (
         Mirror(load_scene("impedance_push")) as mirror,
         WebHost(mirror, waits=True) as page,
@@ -678,7 +676,7 @@ def test_pages_of_one_process_are_beside_each_other(home: None) -> None:
                 assert client.state["about"]["title"] == name
 
 
-def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
+def test_page_is_for_this_machine_only_by_default(page: WebHost) -> None:
     assert page.server.address == "127.0.0.1"
     assert page.server.is_private
     token = page.server.token
@@ -687,7 +685,7 @@ def test_a_page_is_for_this_machine_only(page: WebHost) -> None:
     assert page.urls == [page.url]
 
 
-def test_a_port_that_is_taken_is_told(home: None) -> None:
+def test_port_in_use_is_reported(home: None) -> None:
     with Mirror(load_scene("lwr")) as mirror, socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -703,7 +701,7 @@ def test_a_port_that_is_taken_is_told(home: None) -> None:
 
 
 @pytest.mark.thorough
-def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path, home: None) -> None:
+def test_screenshots_and_videos_can_be_made_of_pages(tmp_path: Path, home: None) -> None:
     with Mirror(load_scene("impedance_push")) as mirror, WebHost(mirror, folder=tmp_path) as page:
         said: list[str] = []
         page.say = lambda text, is_bad=False: said.append(text)  # type: ignore[method-assign]
@@ -729,7 +727,7 @@ def test_screenshots_and_films_are_made_of_pages_too(tmp_path: Path, home: None)
     assert difference.mean() < 3.0  # of one moment
 
 
-def test_an_overlay_sends_the_places_of_its_joints(home: None) -> None:
+def test_overlay_sends_its_joint_positions(home: None) -> None:
     import mujoco
 
     from sero_mj.data.drive.mirror import Watch

@@ -25,14 +25,14 @@ from sero_mj.viewer.web.page_state import card_lines
 from sero_mj.viewer.web.server import check_address, page_url
 
 
-def test_the_help_of_the_page_is_about_the_page() -> None:
+def test_help_of_the_page_describes_the_page() -> None:
     rows = [row for column in help_columns(tool_keys(), on_page=True) for row in column]
     assert ("t", "panel on or off") in rows
     assert not {how for how, _ in rows} & {"F11", "Ctrl+Q"}
     assert {"F11", "Ctrl+Q"} <= {how for column in help_columns(tool_keys()) for how, _ in column}
 
 
-def test_lines_are_as_wide_as_their_characters() -> None:
+def test_line_widths_equal_the_sums_of_characters() -> None:
     lines = [b"A1 -12.3 Nm", b"", b"i"]
     assert DEFAULT_FONT.line_widths(lines).tolist() == [DEFAULT_FONT.width(line) for line in lines]
 
@@ -61,7 +61,7 @@ def test_panels_stay_clear_of_what_the_host_covers() -> None:
     assert centres[2].tolist() == [400.0, 300.0]
 
 
-def test_the_text_of_a_card_is_a_title_and_values_with_their_labels() -> None:
+def test_billboard_text_is_split_into_title_values_and_labels() -> None:
     assert card_lines([b"A1      12.3 Nm"]) == ("A1", [["", "12.3 Nm"]])
     assert card_lines([b"A1  cmd     1.2 Nm", b"    msr  no data"]) == (
         "A1",
@@ -71,7 +71,7 @@ def test_the_text_of_a_card_is_a_title_and_values_with_their_labels() -> None:
     assert card_lines([b"hot"]) == ("", [["", "hot"]])
 
 
-def test_pages_are_named_by_addresses_that_a_browser_takes() -> None:
+def test_page_addresses_are_valid_for_browsers() -> None:
     assert page_url("127.0.0.1", 8080) == "http://localhost:8080/"
     assert page_url("0.0.0.0", 80) == "http://localhost:80/"
     assert page_url("192.168.1.7", 8080) == "http://192.168.1.7:8080/"
@@ -80,7 +80,7 @@ def test_pages_are_named_by_addresses_that_a_browser_takes() -> None:
 
 
 @pytest.mark.parametrize("host", ["203.0.113.7", "no such host", "x" * 300])
-def test_an_address_of_others_is_refused(host: str) -> None:
+def test_address_of_another_machine_is_rejected(host: str) -> None:
     with pytest.raises(RenderError, match="this machine has no such address"):
         check_address(host)
     check_address("127.0.0.1")
@@ -97,7 +97,7 @@ def test_there_is_a_page_where_there_is_no_screen(monkeypatch: pytest.MonkeyPatc
     assert wants_page(ViewOptions(scene="lwr"))
 
 
-def test_it_says_why_it_is_a_page_once_there_is_a_scene(
+def test_reason_for_a_page_instead_of_a_window_is_printed_once_a_scene_is_shown(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sero_mj.viewer.image.backend.has_display", lambda: False)
@@ -132,7 +132,7 @@ def test_options_of_the_other_host_are_refused(
         wants_page(ViewOptions(scene="lwr", **given))
 
 
-def test_a_browser_is_opened_for_who_sits_at_this_machine(
+def test_browser_is_opened_only_for_local_users(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     opened: queue.SimpleQueue[str] = queue.SimpleQueue()

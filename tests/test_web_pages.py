@@ -21,7 +21,7 @@ pytestmark = [
 
 
 @pytest.mark.thorough
-def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -> None:
+def test_second_browser_watches_and_takes_control(browser: Any, tmp_path: Path) -> None:
     settings = (POSE, TORQUES, "lwr.show_arrows=true")
     with Served(tmp_path, "lwr", settings=settings) as served:
         first = Visitor(browser, served, (280, 240))
@@ -61,7 +61,7 @@ def test_a_second_browser_watches_and_takes_over(browser: Any, tmp_path: Path) -
 
 
 @pytest.mark.thorough
-def test_a_restarted_server_is_found_again_by_its_link(browser: Any, tmp_path: Path) -> None:
+def test_restarted_server_is_found_by_its_link(browser: Any, tmp_path: Path) -> None:
     port = free_port(socket.SOCK_STREAM)
     options: dict[str, Any] = {"settings": (POSE, TORQUES), "port": port}
     with Served(tmp_path, "lwr", **options) as first:
@@ -87,7 +87,7 @@ def test_a_restarted_server_is_found_again_by_its_link(browser: Any, tmp_path: P
     visitor.page.close()
 
 
-def test_a_mirrored_robot_moves_and_is_grey_when_its_source_is_quiet(
+def test_mirrored_robot_moves_and_is_gray_when_its_source_is_silent(
     browser: Any, tmp_path: Path
 ) -> None:
     port = free_port(socket.SOCK_DGRAM)
@@ -124,7 +124,7 @@ def free_port(kind: socket.SocketKind) -> int:
 
 
 @pytest.mark.thorough
-def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
+def test_one_finger_taps_and_two_zoom(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr", settings=(POSE,)) as served:
         hand = Visitor(browser, served, has_touch=True)
         served.until("w.view.size == (560, 400)")
@@ -148,7 +148,7 @@ def test_a_finger_taps_once_and_two_zoom(browser: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
+def test_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "impedance_push", settings=("run.duration=100",)) as served:
         visitor = Visitor(browser, served, has_touch=True)
         mouse = visitor.page.mouse
@@ -193,7 +193,7 @@ def test_a_simulation_is_pulled_paused_and_scrubbed(browser: Any, tmp_path: Path
 
 
 @pytest.mark.thorough
-def test_the_help_opens_over_a_small_page_and_closes(browser: Any, tmp_path: Path) -> None:
+def test_help_opens_over_a_small_page_and_closes(browser: Any, tmp_path: Path) -> None:
     with Served(tmp_path, "lwr") as served:
         visitor = Visitor(browser, served, (600, 380))
         dialog = visitor.page.get_by_role("dialog", name="Mouse and keys")

@@ -110,7 +110,7 @@ def phone(browser: Any, file: Path) -> Any:
     return opened(browser, file, **PHONE)
 
 
-def test_a_page_opens_alone_and_draws_in_few_calls(page: Any, file: Path) -> None:
+def test_page_opens_alone_and_draws_in_few_calls(page: Any, file: Path) -> None:
     assert page.said == []
     assert [url for url in page.asked if not url.startswith(("blob:", "data:"))] == [file.as_uri()]
     assert 0 < page.evaluate("player.calls") <= 20
@@ -149,7 +149,7 @@ CARDS = """() => [...document.querySelectorAll(".card")].filter(e => e.offsetWid
 
 
 @pytest.mark.parametrize("lines", [None, ["commanded_torques", "torques", "joint_angles"]])
-def test_a_page_shows_the_cards_of_an_image(browser: Any, tmp_path: Path, lines: Any) -> None:
+def test_page_shows_the_billboards_of_an_image(browser: Any, tmp_path: Path, lines: Any) -> None:
     scene = load_scene("impedance_push")
     if lines:
         scene.robots["lwr"].billboard_lines = lines
@@ -192,7 +192,7 @@ def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     page.evaluate("player.recording.hasPanel = false; player.draw()")
 
 
-def test_the_legend_tells_of_arrows_that_are_seen(page: Any) -> None:
+def test_legend_describes_visible_arrows(page: Any) -> None:
     notes = page.locator("#notes")
     page.evaluate("player.recording.seek(1.5); player.draw()")
     assert "push: 80 mm long = 20 N" in notes.inner_text()
@@ -205,9 +205,7 @@ def test_the_legend_tells_of_arrows_that_are_seen(page: Any) -> None:
     assert "push: " in notes.inner_text()
 
 
-def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
-    browser: Any, tmp_path: Path
-) -> None:
+def test_arrows_of_prismatic_joints_equal_those_of_python(browser: Any, tmp_path: Path) -> None:
     (tmp_path / "slides.toml").write_text(SLIDES)
     scene = load_scene(tmp_path / "slides.toml")
     found = capture(scene, fps=FPS, seconds=1.0)
@@ -248,13 +246,13 @@ def test_arrows_of_joints_that_slide_are_those_of_python_whatever_they_show(
     page.context.close()
 
 
-def test_names_of_others_stay_text(page: Any) -> None:
+def test_untrusted_names_are_shown_as_text(page: Any) -> None:
     assert page.locator("h1").inner_text() == HOSTILE.replace("_", " ")
     assert page.locator(".mark.push").get_attribute("title").endswith(HOSTILE)
     assert page.evaluate("globalThis.bad") is None
 
 
-def test_the_page_says_that_an_expectation_failed(page: Any) -> None:
+def test_page_shows_a_failed_expectation(page: Any) -> None:
     assert "1 of 1" in page.locator("#about").inner_text()
     told, time = page.locator(".told"), page.locator("#timeline input[type=range]")
     page.evaluate("player.recording.seek(0.2)")
@@ -307,7 +305,7 @@ FREE = """() => {
 
 
 @pytest.mark.parametrize("size", [(1280, 800), (900, 640), (390, 844)])
-def test_what_is_told_covers_neither_legend_nor_cards(
+def test_messages_cover_neither_legend_nor_billboards(
     browser: Any, file: Path, size: tuple[int, int]
 ) -> None:
     width, height = size
@@ -325,13 +323,13 @@ def test_what_is_told_covers_neither_legend_nor_cards(
     page.context.close()
 
 
-def test_what_is_told_goes_when_the_time_is_elsewhere(page: Any) -> None:
+def test_message_disappears_at_other_times(page: Any) -> None:
     for time, is_told in ((1.0, True), (1.4, True), (1.6, False), (0.95, False), (0.99, True)):
         page.evaluate("time => { player.recording.seek(time); player.draw(); }", time)
         assert page.locator(".told.failed").is_visible() == is_told
 
 
-def test_the_label_of_a_mark_stands_where_no_other_mark_is(browser: Any, tmp_path: Path) -> None:
+def test_label_of_a_mark_does_not_overlap_other_marks(browser: Any, tmp_path: Path) -> None:
     scene = load_scene("impedance_push")
     marks = [Mark(0.5, 1.9, "push", "push")]
     marks += [Mark(time, time, "held", "held") for time in (0.52, 0.54, 1.5)]
@@ -367,7 +365,7 @@ def test_marks_at_the_end_fit_a_phone_and_leave_the_slider_free(
     page.context.close()
 
 
-def test_a_phone_tells_what_arrows_show_and_lets_it_be_chosen(phone: Any) -> None:
+def test_phone_shows_the_arrow_quantity_and_can_change_it(phone: Any) -> None:
     phone.evaluate("player.recording.select(null); player.recording.seek(1.0); player.draw()")
     choice, legend = phone.get_by_label("arrows show"), phone.locator("#notes")
     assert "round arrows: joint torque\n" in legend.inner_text()
@@ -387,7 +385,7 @@ def test_a_phone_tells_what_arrows_show_and_lets_it_be_chosen(phone: Any) -> Non
     assert legend.is_visible()
 
 
-def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
+def test_plot_names_its_signals_and_units(page: Any) -> None:
     page.evaluate("player.recording.choose(2); player.draw()")
     names = page.locator(".graph .names").inner_text().split("\n")
     assert " ".join(names).split() == ["torque", "[Nm]", "measured", "commanded"]
@@ -398,7 +396,7 @@ def test_the_plot_says_what_it_shows_in_which_unit(page: Any) -> None:
     )
 
 
-def test_a_low_plot_of_what_is_all_but_0_has_a_scale(phone: Any) -> None:
+def test_low_plot_of_nearly_zero_values_has_a_scale(phone: Any) -> None:
     numbers = """async (joint) => {
         player.recording.choose(joint);
         player.draw();
@@ -411,7 +409,7 @@ def test_a_low_plot_of_what_is_all_but_0_has_a_scale(phone: Any) -> None:
         assert len(found) > 1 and len(set(found)) == len(found)
 
 
-def test_an_angle_of_0_has_no_sign(page: Any) -> None:
+def test_zero_angle_has_no_sign(page: Any) -> None:
     page.evaluate("""() => {
         const { joint_angles: angles } = player.run.values;
         const [before] = angles;
@@ -425,7 +423,7 @@ def test_an_angle_of_0_has_no_sign(page: Any) -> None:
     assert "-0.000" not in page.locator("#details").inner_text()
 
 
-def test_the_status_is_backed_and_above_cards(page: Any) -> None:
+def test_status_has_a_background_and_is_above_billboards(page: Any) -> None:
     seen = page.evaluate("""() => ["names", "problem", "cards"].map(id => {
         const { backgroundColor } = getComputedStyle(document.getElementById(id));
         const own = document.getElementById(id).closest("header, #problem, #cards");
@@ -441,7 +439,7 @@ def test_the_status_is_backed_and_above_cards(page: Any) -> None:
 @pytest.mark.parametrize(("look", "scheme", "shown"), [
     ("dark", "light", "dark"), ("light", "dark", "light"), (None, "dark", "dark"),
 ])  # fmt: skip
-def test_a_page_opens_in_the_look_that_was_asked_for(
+def test_page_opens_in_the_requested_look(
     browser: Any, tmp_path: Path, look: Any, scheme: str, shown: str
 ) -> None:
     scene = load_scene("lwr")
@@ -458,7 +456,7 @@ def test_a_page_opens_in_the_look_that_was_asked_for(
     page.context.close()
 
 
-def test_a_click_on_a_card_a_link_and_an_arrow_gives_their_numbers(page: Any) -> None:
+def test_click_on_a_billboard_link_or_arrow_shows_its_values(page: Any) -> None:
     page.evaluate("player.recording.seek(1.5)")
     page.locator(".card", has_text="A3").click()
     page.locator("#details h2", has_text="lwr/A3").wait_for()
@@ -508,7 +506,7 @@ def test_keys_are_those_of_windows(page: Any) -> None:
     page.keyboard.press(" ")
 
 
-def test_the_policy_refuses_every_request(page: Any) -> None:
+def test_content_security_policy_blocks_every_request(page: Any) -> None:
     # From a timer: what a debugger evaluates may do more than the page.
     refused = page.evaluate("""() => new Promise(resolve => setTimeout(async () => {
         const tries = [
@@ -526,9 +524,7 @@ def test_the_policy_refuses_every_request(page: Any) -> None:
     assert refused == [0, 0, 0]
 
 
-def test_the_robot_covers_the_pixels_that_it_covers_in_our_pictures(
-    page: Any, scene: sero_mj.Scene
-) -> None:
+def test_robot_covers_the_same_pixels_as_in_our_images(page: Any, scene: sero_mj.Scene) -> None:
     width, height = SIZE
     digits = page.evaluate(SILHOUETTE, [width, height, 1.5])
     seen = np.frombuffer(digits.encode(), np.uint8).reshape(height, width) == ord("1")
@@ -554,7 +550,7 @@ def test_the_robot_covers_the_pixels_that_it_covers_in_our_pictures(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -> None:
+def test_phone_shows_everything_within_its_width(browser: Any, file: Path, scheme: str) -> None:
     phone = {"viewport": {"width": 390, "height": 844}, "color_scheme": scheme, "has_touch": True}
     page = opened(browser, file, **phone)
     assert page.evaluate("document.documentElement.dataset.look") == scheme
@@ -569,7 +565,7 @@ def test_a_phone_shows_all_in_its_width(browser: Any, file: Path, scheme: str) -
     page.context.close()
 
 
-def test_a_browser_without_webgl_says_so_and_has_nothing_to_press(browser: Any, file: Path) -> None:
+def test_browser_without_webgl_shows_a_message_and_no_controls(browser: Any, file: Path) -> None:
     page = opened(browser, file, before="HTMLCanvasElement.prototype.getContext = () => null")
     assert page.locator("#problem").is_visible()
     assert "WebGL" in page.locator("#problem").inner_text()
@@ -579,9 +575,7 @@ def test_a_browser_without_webgl_says_so_and_has_nothing_to_press(browser: Any, 
 
 
 @pytest.mark.thorough
-def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
-    browser: Any, file: Path
-) -> None:
+def test_lost_webgl_context_is_reported_and_restored(browser: Any, file: Path) -> None:
     page = opened(browser, file)
     page.evaluate(
         "() => { globalThis.graphics ="
@@ -600,7 +594,7 @@ def test_graphics_that_the_browser_takes_away_are_told_and_come_back(
     other.context.close()
 
 
-def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
+def test_robot_alone_is_a_static_page(browser: Any, tmp_path: Path) -> None:
     found = capture(load_scene("lwr"))
     assert found.frames == 1
     write_page(found, tmp_path / "lwr.html")
@@ -611,7 +605,7 @@ def test_a_robot_alone_is_a_still_page(browser: Any, tmp_path: Path) -> None:
 
 
 @pytest.mark.thorough
-def test_the_camera_of_a_file_follows_as_that_of_a_film(browser: Any, tmp_path: Path) -> None:
+def test_camera_of_a_file_follows_like_that_of_a_video(browser: Any, tmp_path: Path) -> None:
     scene = load_scene("drive_home")
     found = capture(scene, fps=FPS, seconds=2.0, follow="lwr/flange")
     write_page(found, tmp_path / "run.html")

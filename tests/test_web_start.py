@@ -130,7 +130,7 @@ class Onlooker:
         self._stack.close()
 
 
-def test_tiles_are_listed_with_pictures_and_open_their_scenes(opened: Opened) -> None:
+def test_tiles_are_listed_with_images_and_open_their_scenes(opened: Opened) -> None:
     status, text, headers = opened.get("/sero-mj/tiles")
     assert (status, headers["Content-Type"]) == (200, "application/json")
     tiles = {tile["title"]: tile for each in json.loads(text)["sections"] for tile in each["tiles"]}
@@ -180,7 +180,7 @@ def test_only_the_browser_in_control_opens_anything(opened: Opened) -> None:
     assert "error" in opened.upload(other.key, files)
 
 
-def test_who_loses_control_while_files_arrive_uploads_nothing(opened: Opened) -> None:
+def test_browser_that_loses_control_during_an_upload_uploads_nothing(opened: Opened) -> None:
     before = uploads.drops.size
     with Onlooker(opened) as first, Onlooker(opened) as other:
         with opened.line("/sero-mj/files") as line:
@@ -196,7 +196,7 @@ def test_who_loses_control_while_files_arrive_uploads_nothing(opened: Opened) ->
     assert opened.asked.empty()
 
 
-def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None:
+def test_complete_files_are_accepted_and_errors_reported(opened: Opened) -> None:
     contents = os.urandom(300_000)
     with Onlooker(opened) as browser:
         listed = [{"path": "r/r.urdf", "size": 300_000}, {"path": "r/m/a.stl", "size": 3}]
@@ -213,7 +213,7 @@ def test_files_are_taken_whole_and_what_is_wrong_is_told(opened: Opened) -> None
     assert opened.asked.empty()
 
 
-def test_refused_drops_leave_nothing_and_full_space_is_told(
+def test_rejected_uploads_leave_nothing_and_full_storage_is_reported(
     opened: Opened, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(uploads, "drops", uploads.Drops())
@@ -255,7 +255,7 @@ def test_refused_drops_leave_nothing_and_full_space_is_told(
         ),
     ],
 )
-def test_files_that_cannot_be_kept_are_told_by_their_own_names(
+def test_files_that_cannot_be_stored_are_reported_by_their_names(
     opened: Opened, listed: list[dict[str, Any]], told: str
 ) -> None:
     kept = paths.make_temporary_folder().parent
@@ -268,7 +268,7 @@ def test_files_that_cannot_be_kept_are_told_by_their_own_names(
     assert opened.asked.empty()
 
 
-def test_faults_in_files_that_were_dropped_have_their_names_there(home: None) -> None:
+def test_errors_in_uploaded_files_use_their_original_names(home: None) -> None:
     path = paths.make_temporary_folder() / "cell" / "scene.toml"
     path.parent.mkdir()
     path.write_text("nonsense = 1\n")
@@ -283,7 +283,7 @@ def test_faults_in_files_that_were_dropped_have_their_names_there(home: None) ->
         assert page.notice.text.startswith("cell/scene.toml:1: nonsense")
 
 
-def test_other_sites_and_who_has_no_token_are_refused(opened: Opened) -> None:
+def test_other_sites_and_requests_without_a_token_are_rejected(opened: Opened) -> None:
     port = opened.page.server.port
     for path in PATHS:
         for headers in ({"Origin": "http://evil.example"}, {"Sec_Fetch_Site": "cross-site"},
@@ -346,7 +346,7 @@ command = {command}
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(MISSING), reason=f"needs {' and '.join(MISSING)}")
-def test_a_tile_is_opened_and_a_folder_dropped_in_a_browser(
+def test_tile_and_dropped_folder_are_opened_in_a_browser(
     browser: Any, tmp_path: Path, home: None
 ) -> None:
     program = (

@@ -123,7 +123,7 @@ def compare(page: Any, found: Any, data: mujoco.MjData, time: float = 0.0) -> tu
         8,
     ),
 )
-def test_textures_are_where_they_are_in_our_pictures(
+def test_textures_are_at_the_same_places_as_in_our_images(
     opened: Callable[..., Any], geom: str, look: str
 ) -> None:
     model = of_texture(geom, look)
@@ -195,7 +195,7 @@ SOFT = {
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("name", sampled(list(SOFT), 2))
-def test_soft_parts_move_as_in_our_pictures(opened: Callable[..., Any], name: str) -> None:
+def test_soft_bodies_move_as_in_our_images(opened: Callable[..., Any], name: str) -> None:
     model = mujoco.MjModel.from_xml_string(SOFT[name])
     states = rolled_out(model, 5, 30)
     if name == "skin":
@@ -216,7 +216,7 @@ def test_soft_parts_move_as_in_our_pictures(opened: Callable[..., Any], name: st
 
 
 @pytest.mark.thorough
-def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
+def test_page_of_a_dm_control_model_looks_like_mujoco(
     opened: Callable[..., Any],
 ) -> None:
     suite = pytest.importorskip("dm_control.suite.quadruped")
@@ -235,7 +235,7 @@ def test_a_page_of_a_model_of_dm_control_looks_as_in_mujoco(
     assert page.locator("#areas").is_hidden()
 
 
-def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
+def test_plane_is_transparent_from_below(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>{BARE}<worldbody>
     <geom type="plane" size=".6 .5 .1" rgba="1 .8 0 1"/>
     <geom type="sphere" size=".2" pos="0 0 .4" rgba="0 .2 1 1"/></worldbody></mujoco>""")
@@ -249,7 +249,7 @@ def test_a_plane_is_seen_through_from_below(opened: Callable[..., Any]) -> None:
 
 
 @pytest.mark.thorough
-def test_a_plane_reflects(opened: Callable[..., Any]) -> None:
+def test_plane_reflects(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string(f"""<mujoco>{BARE}
     <asset><material name="wet" rgba=".1 .1 .3 1" reflectance=".6"/></asset><worldbody>
     <light type="directional" diffuse="0 0 0" specular="0 0 0"/>
@@ -270,7 +270,7 @@ def test_a_plane_reflects(opened: Callable[..., Any]) -> None:
     assert page.said == []
 
 
-def test_a_light_of_the_model_shines_from_where_it_is(opened: Callable[..., Any]) -> None:
+def test_light_of_the_model_shines_from_its_position(opened: Callable[..., Any]) -> None:
     model = mujoco.MjModel.from_xml_string("""<mujoco>
     <visual><headlight ambient=".2 .2 .2" diffuse="0 0 0" specular="0 0 0"/></visual>
     <worldbody><light type="directional" dir="0 1 -1" diffuse=".6 .3 .3" specular="0 0 0"/>
@@ -281,7 +281,7 @@ def test_a_light_of_the_model_shines_from_where_it_is(opened: Callable[..., Any]
     assert outline >= OUTLINE and np.percentile(away, 95) <= LEVELS
 
 
-def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
+def test_our_scenes_have_no_extra_entries_in_the_page_header() -> None:
     import json
 
     from sero_mj.load import load_scene
@@ -298,7 +298,7 @@ def test_a_scene_of_ours_has_no_more_in_its_head_than_before() -> None:
 @pytest.mark.thorough
 @pytest.mark.gl
 @pytest.mark.parametrize("look", ["light", "dark"])
-def test_a_page_looks_as_filaments_picture_of_the_scene(
+def test_page_looks_like_the_filament_image_of_the_scene(
     opened: Callable[..., Any], look: Any
 ) -> None:
     from sero_mj.extensions.filament.probe import filament_problem
@@ -321,7 +321,7 @@ def test_a_page_looks_as_filaments_picture_of_the_scene(
     assert shares == pytest.approx(1.0, abs=0.07)  # links do not hide the sky from each other
 
 
-def test_a_robot_hides_the_sky_from_the_floor_about_it(opened: Callable[..., Any]) -> None:
+def test_robot_occludes_the_sky_light_of_the_floor(opened: Callable[..., Any]) -> None:
     page = opened(capture(load_scene("lwr")))
     hidden = drawn(page, SIZE, 0.0, shadows=False)[..., :3].astype(int)
     page.evaluate("player.stage.surroundings.occlusion.capsules = []")

@@ -75,7 +75,7 @@ def pixel(window: Driven, joint: int) -> tuple[float, float]:
 
 
 @pytest.mark.thorough
-def test_a_key_switches_what_the_table_says(window: Driven) -> None:
+def test_key_switches_its_toggle(window: Driven) -> None:
     assert not window.ask("w.toggles.arrows.any()")
     window.key("a")
     window.until("w.toggles.arrows.all()")
@@ -83,7 +83,7 @@ def test_a_key_switches_what_the_table_says(window: Driven) -> None:
     window.until("not w.toggles.arrows.any()")
 
 
-def test_a_click_on_a_link_shows_its_billboard_and_selects_its_joint(window: Driven) -> None:
+def test_click_on_a_link_shows_its_billboard_and_selects_its_joint(window: Driven) -> None:
     x, y = pixel(window, 3)
     window.click(x, y)
     shown = window.until("w.toggles.billboards.nonzero()[0].tolist()")
@@ -96,14 +96,14 @@ def test_shift_and_click_shows_all_billboards(window: Driven) -> None:
     window.until("w.toggles.billboards.all()")
 
 
-def test_a_double_click_shows_the_axes_and_no_billboard(window: Driven) -> None:
+def test_double_click_shows_the_axes_and_no_billboard(window: Driven) -> None:
     x, y = pixel(window, 3)
     window.click(x, y, "click", "--repeat", 2, "--delay", 60, 1)
     window.until("w.toggles.axes.sum() > 3")
     assert not window.ask("w.toggles.billboards.any()")
 
 
-def test_the_name_of_what_is_under_the_pointer_is_written_beside_it(window: Driven) -> None:
+def test_name_under_the_pointer_is_shown_beside_it(window: Driven) -> None:
     x, y = pixel(window, 3)
     window.tool("mousemove", round(x), round(y))
     assert window.until("w.toggles.hover")[0].startswith("lwr/")
@@ -111,7 +111,7 @@ def test_the_name_of_what_is_under_the_pointer_is_written_beside_it(window: Driv
     window.until("w.toggles.hover is None")
 
 
-def test_a_drag_turns_the_view_and_is_no_click(window: Driven) -> None:
+def test_drag_rotates_the_view_and_is_not_a_click(window: Driven) -> None:
     before = window.ask("[w.navigator.camera.azimuth, w.navigator.camera.elevation]")
     x, y = pixel(window, 3)
     window.tool("mousemove", round(x), round(y), "mousedown", 1)
@@ -125,7 +125,7 @@ def test_a_drag_turns_the_view_and_is_no_click(window: Driven) -> None:
     assert not window.ask("w.toggles.billboards.any()")
 
 
-def test_a_drag_with_the_right_button_moves_the_view(window: Driven) -> None:
+def test_drag_with_the_right_button_pans_the_view(window: Driven) -> None:
     before = pixel(window, 1)
     window.tool("mousemove", 300, 200, "mousedown", 3, "mousemove", 330, 200)
     window.tool("mousemove", 360, 230, "mouseup", 3)
@@ -135,13 +135,13 @@ def test_a_drag_with_the_right_button_moves_the_view(window: Driven) -> None:
     assert after[1] - before[1] == pytest.approx(30, abs=6)
 
 
-def test_the_wheel_comes_nearer(window: Driven) -> None:
+def test_wheel_zooms_in(window: Driven) -> None:
     before = window.ask("w.navigator.camera.distance")
     window.tool("mousemove", 300, 200, "click", 4, "click", 4)
     window.until(f"abs(w.navigator.camera.distance - {before} * 0.81) < 1e-6")
 
 
-def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> None:
+def test_double_click_of_the_right_button_centers_the_view(window: Driven) -> None:
     x, y = pixel(window, 5)
     window.click(x, y, "click", "--repeat", 2, "--delay", 60, 3)
     window.settle()
@@ -152,7 +152,7 @@ def test_a_double_click_of_the_right_button_centres_the_view(window: Driven) -> 
 
 
 @pytest.mark.thorough
-def test_a_frame_is_followed(window: Driven) -> None:
+def test_camera_follows_a_frame(window: Driven) -> None:
     x, y = pixel(window, 5)
     window.tool("mousemove", round(x), round(y))
     window.until("w.toggles.hover")
@@ -170,7 +170,7 @@ def test_a_frame_is_followed(window: Driven) -> None:
 
 
 @pytest.mark.thorough
-def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
+def test_help_is_shown_and_closed_by_a_click(window: Driven) -> None:
     window.key("F1")
     window.until("w.shows_help")
     window.click(320, 240)
@@ -188,7 +188,7 @@ def test_the_help_is_shown_and_goes_with_a_click(window: Driven) -> None:
     window.until("not w.shows_help")
 
 
-def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
+def test_screenshot_equals_the_visible_image(window: Driven) -> None:
     folder: Path = window.folder  # type: ignore[attr-defined]
     window.key("F2")
     window.until("'screenshot saved' in w.notice.text")
@@ -200,7 +200,7 @@ def test_a_screenshot_is_what_is_seen(window: Driven) -> None:
 
 
 @pytest.mark.thorough
-def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
+def test_video_has_the_recorded_duration(window: Driven) -> None:
     import av
 
     folder: Path = window.folder  # type: ignore[attr-defined]
@@ -215,7 +215,7 @@ def test_a_film_is_as_long_as_it_was_filmed(window: Driven) -> None:
 
 
 @pytest.mark.thorough
-def test_the_window_takes_another_size(window: Driven) -> None:
+def test_window_can_be_resized(window: Driven) -> None:
     window.tool("search", "--name", "lwr - sero-mj", "windowsize", 500, 400)
     window.until("w.gl.size == (500, 400)")
     window.settle()
@@ -231,7 +231,7 @@ def test_full_screen_and_back(window: Driven) -> None:
     window.until(f"w.gl.size == {SIZE}")
 
 
-def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
+def test_plot_shows_the_selected_joint(window: Driven) -> None:
     window.key("p")
     window.until("w.tools['plot'].shows_area")
     window.until("places.get('##joint')")
@@ -241,7 +241,7 @@ def test_the_plot_shows_the_selected_joint(window: Driven) -> None:
     window.key("p")
 
 
-def test_a_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_path: Path) -> None:
+def test_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_path: Path) -> None:
     with Driven(display, tmp_path, "impedance_push") as window:
         window.until("w.clock.time > 0.2")
         window.key("space")
@@ -263,7 +263,7 @@ def test_a_simulation_is_paused_stepped_scrubbed_and_reset(display: str, tmp_pat
 
 
 @pytest.mark.thorough
-def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: Path) -> None:
+def test_recording_is_scrubbed_and_stops_at_its_end(display: str, tmp_path: Path) -> None:
     recording = tmp_path / "run.mcap"
     make_recording(recording, seconds=2.0)
     with Driven(display, tmp_path, "lwr_udp", replay=str(recording)) as window:
@@ -283,7 +283,7 @@ def test_a_recording_is_scrubbed_and_its_end_is_the_end(display: str, tmp_path: 
 
 
 @pytest.mark.thorough
-def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path: Path) -> None:
+def test_window_survives_the_end_of_a_live_source(display: str, tmp_path: Path) -> None:
     sender = subprocess.Popen(
         [sys.executable, "-m", "sero_mj", "send", "lwr_udp", "--port", "32755", "--rate", "200"],
         stdout=subprocess.DEVNULL,
@@ -309,9 +309,7 @@ def test_a_live_source_that_ends_leaves_the_window_alive(display: str, tmp_path:
 
 
 @pytest.mark.thorough
-def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
-    display: str, tmp_path: Path
-) -> None:
+def test_past_of_a_live_source_is_replayed_with_the_timeline(display: str, tmp_path: Path) -> None:
     scene = tmp_path / "live.toml"
     text = (ROOT / "scenes" / "lwr_udp.toml").read_text().replace("32000", "32756")
     scene.write_text(text)
@@ -358,7 +356,7 @@ def test_what_a_live_source_sent_is_seen_again_by_the_time_line(
         sender.wait()
 
 
-def test_without_a_display_the_command_says_so(tmp_path: Path) -> None:
+def test_missing_display_is_reported(tmp_path: Path) -> None:
     environment = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
     done = subprocess.run(
         [sys.executable, "-m", "sero_mj", "view", "lwr", "--window"],
@@ -407,12 +405,10 @@ def run_script(text: str, folder: Path, display: str, **more: str) -> str:
 
 
 @pytest.mark.thorough
-def test_a_viewer_that_is_closed_says_so_and_a_wrong_size_is_told(
-    display: str, tmp_path: Path
-) -> None:
+def test_closed_viewer_and_invalid_size_are_reported(display: str, tmp_path: Path) -> None:
     assert (
         run_script(_CLOSED, tmp_path, display, MUJOCO_GL="glfw").strip()
-        == "window size: found [0, -5]; expected 1 to 16384 pixels a side"
+        == "window size: found [0, -5]; expected 1 to 16384 pixels per side"
     )
 
 
@@ -443,7 +439,7 @@ print("done")
 
 
 @pytest.mark.thorough
-def test_a_loop_of_ones_own_moves_the_robot(display: str, tmp_path: Path) -> None:
+def test_user_loop_moves_the_robot(display: str, tmp_path: Path) -> None:
     assert run_script(_LOOP, tmp_path, display) == "done\n"
 
 
@@ -461,7 +457,7 @@ _BLENDED = """(lambda np, setting, full, placed, bare: [
 )"""
 
 
-def test_the_window_blends_panels_as_headless_pictures_do(window: Driven) -> None:
+def test_window_blends_panels_like_headless_images(window: Driven) -> None:
     window.ask("w.toggles.billboards.fill(True)")
     window.settle()
     panels, changed, difference = window.ask(" ".join(_BLENDED.split()))
@@ -477,7 +473,7 @@ _JAGGED = """(lambda np, mujoco, rect, smooth: (lambda raw: [
 )"""
 
 
-def test_pictures_of_a_window_are_as_smooth_as_the_window(window: Driven) -> None:
+def test_images_of_a_window_are_as_smooth_as_the_window(window: Driven) -> None:
     """Reading its buffer of several samples a pixel directly would take one of them."""
     samples, differ = window.ask(" ".join(_JAGGED.split()))
     assert samples >= 4

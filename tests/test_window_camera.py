@@ -29,7 +29,7 @@ def view_of(world: World, data: mujoco.MjData, camera: mujoco.MjvCamera) -> Imag
     return ImageView.of_scene(scene, 800, 600)
 
 
-def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:
+def test_pan_moves_the_look_at_point_with_the_pointer(world: World) -> None:
     navigator, data = Navigator(world), world.make_data()
     point = np.array(navigator.camera.lookat)
     view = view_of(world, data, navigator.camera)
@@ -39,7 +39,7 @@ def test_a_pan_keeps_what_is_looked_at_under_the_pointer(world: World) -> None:
     assert pixel == pytest.approx([400 + 120, 300 - 60], abs=0.5)
 
 
-def test_the_axes_of_a_camera_are_those_of_mujoco(world: World) -> None:
+def test_camera_axes_equal_those_of_mujoco(world: World) -> None:
     navigator, data = Navigator(world, "130,-35,2"), world.make_data()
     view = view_of(world, data, navigator.camera)
     forward, right, up = axes(130.0, -35.0)
@@ -61,7 +61,7 @@ def test_orbits_stop_at_the_poles_and_zooms_stay_in_range(world: World) -> None:
     assert navigator.camera.distance == pytest.approx(500)
 
 
-def test_a_camera_of_the_scene_can_be_moved_from_where_it_is(world: World) -> None:
+def test_scene_camera_can_be_moved_from_its_pose(world: World) -> None:
     navigator, data = Navigator(world), world.make_data()
     mujoco.mj_forward(world.model, data)
     assert navigator.choose(1) == "camera front"

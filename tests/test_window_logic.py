@@ -59,7 +59,7 @@ def simulated() -> Any:
         yield mirror
 
 
-def test_time_goes_by_at_the_chosen_speed_and_stops_at_the_end(simulated: Mirror) -> None:
+def test_time_advances_at_the_chosen_speed_and_stops_at_the_end(simulated: Mirror) -> None:
     clock = Clock(simulated)
     assert not clock.is_live
     assert clock.end == pytest.approx(5.0)
@@ -77,7 +77,7 @@ def test_time_goes_by_at_the_chosen_speed_and_stops_at_the_end(simulated: Mirror
     assert clock.time == 0.0
 
 
-def test_a_simulation_that_cannot_keep_up_says_so(simulated: Mirror) -> None:
+def test_simulation_that_cannot_keep_up_reports_its_speed(simulated: Mirror) -> None:
     clock = Clock(simulated)
     clock.advance(0.02)
     assert clock_text(clock)[0].endswith("x1")
@@ -90,7 +90,7 @@ def test_a_simulation_that_cannot_keep_up_says_so(simulated: Mirror) -> None:
     assert "(only 0." in clock_text(clock)[0]
 
 
-def test_a_simulation_may_take_as_long_as_the_drawing_of_slow_frames() -> None:
+def test_simulation_can_use_as_much_time_as_drawing_of_slow_frames() -> None:
     now = 0.0  # on a clock on which 50 ms take 100 ms to simulate
 
     def simulate(time: float) -> None:
@@ -111,7 +111,7 @@ def test_a_simulation_may_take_as_long_as_the_drawing_of_slow_frames() -> None:
     assert pieces == [2, 2, 2, 1, 1]
 
 
-def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
+def test_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
     clock = Clock(simulated)
     clock.pause()
     clock.advance(0.2)
@@ -132,7 +132,7 @@ def test_a_paused_clock_steps_and_seeks(simulated: Mirror) -> None:
     assert clock.time == 0.0
 
 
-def test_plots_are_as_fine_at_a_low_frame_rate(simulated: Mirror) -> None:
+def test_plots_have_full_resolution_at_a_low_frame_rate(simulated: Mirror) -> None:
     clock, seen = Clock(simulated), []
     clock.advance(0.0)
     clock.on_state = lambda: seen.append(simulated.data.time)
@@ -159,7 +159,7 @@ def test_after_a_jump_plots_show_what_was_before_it(
     assert np.isfinite(measured).all()
 
 
-def test_a_plot_that_is_opened_after_a_jump_shows_what_was_before_it(simulated: Mirror) -> None:
+def test_plot_opened_after_a_jump_shows_the_past(simulated: Mirror) -> None:
     clock, history = Clock(simulated), TorqueHistory(simulated.world)
     for goal in (4.0, 2.2):
         clock.seek(goal)
@@ -181,7 +181,7 @@ def test_a_plot_that_is_opened_after_a_jump_shows_what_was_before_it(simulated: 
     assert not clock.advance(0.01)  # once
 
 
-def test_at_the_end_the_same_key_begins_anew(simulated: Mirror) -> None:
+def test_play_key_at_the_end_restarts(simulated: Mirror) -> None:
     clock = Clock(simulated)
     clock.seek(5.0)
     while not clock.is_at_end or simulated.data.time < 5.0:
@@ -202,7 +202,7 @@ def test_speeds_have_ends(simulated: Mirror) -> None:
     assert clock.speed == SPEEDS[0]
 
 
-def test_what_is_live_has_no_past_before_anything_came() -> None:
+def test_live_clock_has_no_past_before_the_first_data() -> None:
     mirror = Mirror(load_scene("lwr_udp"))  # never opened: no port is taken
     clock = Clock(mirror)
     assert clock.is_live
@@ -241,7 +241,7 @@ class Live:
             clock.advance(seconds / frames)
 
 
-def test_the_last_minute_of_what_is_live_is_seen_again_while_it_goes_on() -> None:
+def test_last_minute_of_live_data_can_be_replayed_meanwhile() -> None:
     mirror = Live()
     clock = Clock(mirror)  # type: ignore[arg-type]
     mirror.goes_on(clock, 90.0, 9000)
@@ -275,7 +275,7 @@ def test_the_last_minute_of_what_is_live_is_seen_again_while_it_goes_on() -> Non
     assert not clock.is_past and clock_text(clock) == ("live", "plain")
 
 
-def test_what_is_live_stands_still_where_it_was_paused() -> None:
+def test_paused_live_view_stays_at_its_time() -> None:
     mirror = Live()
     clock = Clock(mirror)  # type: ignore[arg-type]
     mirror.goes_on(clock, 2.0, 333)
@@ -344,7 +344,7 @@ def test_faults_of_what_is_live_and_marks_are_found_again() -> None:
     assert bookmarks.go(1) == "3.10 s: mark"
 
 
-def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -> None:
+def test_lost_packets_are_marked_once(lwr: SerialRobot) -> None:
     scene = Scene(
         robots=[lwr], sources={"arm": {"kind": "udp", "structure": "7F1I"}},
         routes={"lwr.joint_angles": "arm.values0"},
@@ -366,7 +366,7 @@ def test_packets_that_are_lost_are_found_once_while_they_are(lwr: SerialRobot) -
     ]  # fmt: skip
 
 
-def test_what_a_monitor_finds_is_gone_to() -> None:
+def test_bookmarks_seek_findings_of_a_monitor() -> None:
     with Mirror(load_scene("sensor_fault")) as mirror:
         clock = Clock(mirror)
         bookmarks = Bookmarks(bare(mirror, clock))
@@ -381,7 +381,7 @@ def test_what_a_monitor_finds_is_gone_to() -> None:
 # ---- time line and status line
 
 
-def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> None:
+def test_timeline_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> None:
     clock = Clock(simulated)
 
     def does(label: str, value: Any = True) -> ScriptedWidgets:
@@ -420,14 +420,14 @@ def test_the_time_line_pauses_steps_seeks_and_shows_marks(simulated: Mirror) -> 
      (13.0, ["live", "arm: 99/s", "H help"]),
      (9.0, ["live", "arm: 99/s"]), (3.0, ["live"]), (1.0, [])],
 )  # fmt: skip
-def test_the_status_line_leaves_out_what_does_not_fit(width: float, shown: list[str]) -> None:
+def test_status_line_omits_items_that_do_not_fit(width: float, shown: list[str]) -> None:
     pieces: Any = [("live", "plain"), ("arm: 99/s", "good"), ("60 frames/s", "plain")]
     ui = ScriptedWidgets(size=(width, 1.0))
     build_status_line(ui, pieces, "H help")
     assert ui.texts() == shown
 
 
-def test_a_counter_that_is_no_number_tells_its_words() -> None:
+def test_text_counter_shows_its_text() -> None:
     source = UdpReceiver(name="udp", structure="7F")
     source.counters.last_fault = "found 9 bytes"
     ui = ScriptedWidgets()
@@ -440,7 +440,7 @@ def test_a_counter_that_is_no_number_tells_its_words() -> None:
     ("time", "text"),
     [(0, "0.00 s"), (59.5, "59.50 s"), (61.25, "1:01.2"), (3723, "1:02:03")],
 )
-def test_times_are_written_as_people_do(time: float, text: str) -> None:
+def test_times_are_formatted(time: float, text: str) -> None:
     assert time_text(time) == text
 
 
@@ -468,11 +468,11 @@ def found(**values: Any) -> dict[str, Any]:
         ({"age": None, "malformed": 3}, "udp: no data yet, 3 not applied", "bad"),
     ],
 )
-def test_a_source_says_how_it_is(values: dict[str, Any], text: str, mood: str) -> None:
+def test_source_state_is_described(values: dict[str, Any], text: str, mood: str) -> None:
     assert source_text(found(**values), is_live=True) == (text, mood)
 
 
-def test_the_status_line_has_time_sources_and_frame_rate(simulated: Mirror) -> None:
+def test_status_line_has_time_sources_and_frame_rate(simulated: Mirror) -> None:
     clock = Clock(simulated)
     texts = [text for text, _ in status_pieces(simulated.sources.values(), clock, 59.7)]
     assert texts == ["0.00 s / 5.00 s  x1", "simulation of impedance_push, 5 s", "60 frames/s"]
@@ -481,7 +481,7 @@ def test_the_status_line_has_time_sources_and_frame_rate(simulated: Mirror) -> N
 # ---- mouse
 
 
-def test_a_press_that_stays_is_a_click() -> None:
+def test_press_without_motion_is_a_click() -> None:
     mouse = Mouse()
     assert mouse.take(Event("press", 10, 20, 1.0, LEFT, shift=True)) is None
     assert mouse.take(Event("move", 12, 21, 1.1)) is None
@@ -492,7 +492,7 @@ def test_a_press_that_stays_is_a_click() -> None:
     ("button", "shift", "how"),
     [(LEFT, False, "orbit"), (LEFT, True, "pan"), (RIGHT, False, "pan"), (MIDDLE, False, "pan")],
 )
-def test_a_press_that_moves_is_a_drag(button: int, shift: bool, how: Any) -> None:
+def test_press_with_motion_is_a_drag(button: int, shift: bool, how: Any) -> None:
     mouse = Mouse()
     mouse.take(Event("press", 10, 20, 1.0, button, shift=shift))
     assert mouse.take(Event("move", 13, 20, 1.1)) is None
@@ -505,7 +505,7 @@ def test_a_press_that_moves_is_a_drag(button: int, shift: bool, how: Any) -> Non
     assert not mouse.is_down
 
 
-def test_two_clicks_of_the_right_button_centre() -> None:
+def test_two_clicks_of_the_right_button_center_the_view() -> None:
     mouse = Mouse()
 
     def click(time: float, x: float = 50.0) -> Any:
@@ -519,21 +519,21 @@ def test_two_clicks_of_the_right_button_centre() -> None:
     assert click(3.2, x=90.0) is None  # too far
 
 
-def test_the_wheel_zooms() -> None:
+def test_wheel_zooms() -> None:
     assert Mouse().take(Event("scroll", 0.0, 2.0)) == Moved("zoom", 0.0, 2.0)
 
 
 # ---- films, keys, help
 
 
-def test_a_film_shows_real_time_whatever_the_frame_rate() -> None:
+def test_video_shows_real_time_at_any_frame_rate() -> None:
     sent = 0
     for seconds in (0.0, 0.2, 0.21, 1.0):
         sent += due_frames(seconds, sent)
         assert sent == int(seconds * 30) + 1
 
 
-def test_files_get_names_that_are_free(tmp_path: Path) -> None:
+def test_files_get_unused_names(tmp_path: Path) -> None:
     now = datetime(2026, 5, 4, 17, 3, 12)
     first = unused_name(tmp_path, "two arms/1", ".png", now)
     assert first.name == "two_arms_1_2026-05-04_17-03-12.png"
@@ -553,7 +553,7 @@ def test_two_screenshots_within_a_second_are_two_files(tmp_path: Path) -> None:
     assert found == {0, 255}
 
 
-def test_no_key_means_two_things_and_each_is_done() -> None:
+def test_keys_have_unique_meanings_and_existing_actions() -> None:
     assert not set(KEYS) & {*VIEWER_KEYS, *MORE_KEYS}
     assert not set(VIEWER_KEYS) & set(MORE_KEYS)
     more = {key.action for key in MORE_KEYS.values() if not key.action.startswith("camera_")}
@@ -617,7 +617,7 @@ def test_keys_do_what_the_tables_say_in_every_host(
     assert clock.asked == [("step",)] and host.toggles.legend is False
 
 
-def test_the_help_says_everything_that_the_tables_hold() -> None:
+def test_help_contains_all_entries_of_the_key_tables() -> None:
     words = {meaning for column in help_columns(tool_keys()) for _, meaning in column}
     for table in (KEYS, CLICKS):
         for key, (meaning, _) in table.items():
@@ -628,7 +628,7 @@ def test_the_help_says_everything_that_the_tables_hold() -> None:
 
 
 @pytest.mark.parametrize("width", [70.0, 20.0])
-def test_the_help_has_all_rows_at_any_width(width: float) -> None:
+def test_help_has_all_rows_at_any_width(width: float) -> None:
     columns = help_columns(tool_keys())
     ui = ScriptedWidgets(size=(width, 20.0))
     build_help(ui, columns)
@@ -638,7 +638,7 @@ def test_the_help_has_all_rows_at_any_width(width: float) -> None:
 
 @pytest.mark.parametrize("size", [(1280, 800), (640, 480), (320, 240)])
 @pytest.mark.parametrize("has_area", [False, True])
-def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_area: bool) -> None:
+def test_parts_of_a_window_do_not_overlap(size: tuple[int, int], has_area: bool) -> None:
     places = arrange(size, 18, has_status=True, has_time=True, has_area=has_area)
     covered = np.zeros(size[::-1], int)
     for rect in places:
@@ -652,7 +652,7 @@ def test_no_part_of_a_window_covers_another(size: tuple[int, int], has_area: boo
     assert bare.image == (0, 0, *size)
 
 
-def test_without_its_user_interface_a_window_says_so(
+def test_missing_user_interface_package_is_reported(
     simulated: Mirror, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setitem(sys.modules, "sero_mj.viewer.window.chrome", None)
@@ -670,7 +670,7 @@ def test_clicks_during_a_hitch_are_no_double_click() -> None:
         assert (times[2] - times[0] <= DOUBLE_CLICK_TIME) == is_double
 
 
-def test_what_the_user_sets_has_no_speed(lwr: SerialRobot) -> None:
+def test_clock_without_sources_has_no_speed(lwr: SerialRobot) -> None:
     with Mirror(Scene(robots=[lwr])) as mirror:
         clock = Clock(mirror)
         for _ in range(50):
@@ -684,7 +684,7 @@ def test_what_the_user_sets_has_no_speed(lwr: SerialRobot) -> None:
 # ---- quality
 
 
-def test_only_a_slow_machine_draws_a_moving_view_quickly() -> None:
+def test_moving_views_are_simplified_only_on_slow_machines() -> None:
     pace, now = Pace(), 0.0
 
     def frames(seconds: float, moves: bool, count: int = 10) -> list[bool]:

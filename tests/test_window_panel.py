@@ -47,7 +47,7 @@ def test_faults_begin_beside_the_button_of_the_panel(window: Driven) -> None:
 
 
 @pytest.mark.thorough
-def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Driven) -> None:
+def test_panel_opens_switches_and_leaves_images_unchanged(window: Driven) -> None:
     window.tool("mousemove", SIZE[0] - 5, 5)
     window.settle()
     before = screenshot(window)
@@ -105,7 +105,7 @@ def test_the_panel_opens_switches_and_leaves_pictures_as_they_were(window: Drive
 
 
 @pytest.mark.thorough
-def test_films_and_pictures_without_a_window_load_no_panel() -> None:
+def test_images_and_videos_without_a_window_load_no_panel() -> None:
     code = "import sys, sero_mj.cli, sero_mj.viewer.image.render, sero_mj.viewer.window.host\n"
     code += "print('imgui_bundle' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)

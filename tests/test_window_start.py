@@ -87,7 +87,7 @@ class Start(Driver):
         self.tool("click", 1)
 
 
-def test_a_tile_opens_its_scene_and_what_is_wrong_is_told(display: str, tmp_path: Path) -> None:
+def test_tile_opens_its_scene_and_errors_are_reported(display: str, tmp_path: Path) -> None:
     with Start(display, tmp_path) as start:
         start.click("##path")
         start.until("w._layer.takes_keys")
@@ -109,7 +109,7 @@ def test_a_tile_opens_its_scene_and_what_is_wrong_is_told(display: str, tmp_path
 
 
 @pytest.mark.thorough
-def test_data_that_comes_is_a_button(display: str, tmp_path: Path) -> None:
+def test_incoming_data_has_a_button(display: str, tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]

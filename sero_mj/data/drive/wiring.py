@@ -6,7 +6,7 @@ target = name "." input          lwr.joint_angles, contact.vector, toggles.legen
        | name "." limb "." input icub.left_arm.joint_angles
 origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.torques - lwr.torques;
                                  `not` negates a toggle
-       | expression "for" joints udp.values0 for l_elbow, r_arm; several of these with ";" between
+       | expression "for" joints udp.values0 for l_elbow, r_arm; several of these, separated by ";"
        | robot ".gravity_torques", robot ".friction_torques"  by its model, in expressions
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  its pose in the robot's base

@@ -251,10 +251,10 @@ class SendReport:
         return self.packets / self.seconds if self.seconds > 0 else 0.0
 
     def __str__(self) -> str:
-        late = f"{self.jitter_p50 * 1e6:.0f} us (median), {self.jitter_p99 * 1e6:.0f} us (p99)"
+        delay = f"{self.jitter_p50 * 1e6:.0f} us (median), {self.jitter_p99 * 1e6:.0f} us (p99)"
         refused = f", {self.refused} refused by the system" if self.refused else ""
         sent = f"sent {self.packets} packets in {self.seconds:.2f} s ({self.rate:.1f} Hz)"
-        return f"{sent}, late by {late}{refused}"
+        return f"{sent}, delay {delay}{refused}"
 
 
 def paced(

@@ -1,4 +1,4 @@
-"""The light of the sky around a scene, as the cube map of Filament's image-based light."""
+"""Converts the light of the sky to the cube map of Filament's image-based light."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ...robots.declared.surroundings import Palette
 from ...viewer.image.sky_light import LEVELS, SkyLight
 
-_SIDE = 32  # pixels of the sharpest level; the last level has one pixel
+_SIDE = 32  # side of the sharpest level, pixels; the last level has one pixel
 # KTX 1.1 with three small floats (OpenGL's R11F_G11F_B10F) per pixel, as used by MuJoCo.
 _MAGIC = b"\xabKTX 11\xbb\r\n\x1a\n"
 _ENDIANNESS, _GL_RGB, _R11F_G11F_B10F = 0x04030201, 0x1907, 0x8C3A
@@ -31,8 +31,9 @@ def _harmonics(light: SkyLight) -> bytes:
     """Returns KTX metadata: spherical harmonics of the irradiance, as Filament reads them.
 
     Filament evaluates c0 + c1 y + c2 z + c3 x + c4 xy + c5 yz + c6 (3 z^2 - 1) + c7 xz + c8 (x^2 -
-    y^2) for the normal (x, y, z) with y up. Here, this is a + b y + c (3 y^2 - 1): with x^2 + y^2 +
-    z^2 = 1, 3 y^2 - 1 is -(3 z^2 - 1) / 2 - 3/2 (x^2 - y^2).
+    y^2) for the normal (x, y, z) with y up. The irradiance of the sky is a + b y + c (3 y^2 - 1).
+    With x^2 + y^2 + z^2 = 1, the last term follows from 3 y^2 - 1 = -(3 z^2 - 1) / 2 - 3/2 (x^2 -
+    y^2).
     """
     a, b, c = light.irradiance()
     rows = np.zeros((9, 3))

@@ -1,6 +1,7 @@
-"""Anti-aliased triangles in the image plane: leaders of panels, with tips thinner than a pixel.
+"""Draws anti-aliased triangles in the image plane, for leaders of panels with thin tips.
 
-Filament renders images without multisampling, which would turn such tips into dashes.
+Filament renders images without multisampling, so tips that are thinner than a pixel would look
+like dashes.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ _LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `vie
 
 
 def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
-    """Returns which geoms of a scene are triangles just behind the near plane, (k,) bool."""
+    """Returns a mask (k,) of the geoms that are triangles just behind the near plane."""
     forward = np.array(eye.forward, float)
     depth = (rows["pos"].astype(float) - np.array(eye.pos, float)) @ forward
     near = (depth > 0) & (depth < _LAID_OUT * eye.frustum_near)
@@ -25,7 +26,7 @@ def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
 
 
 def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: int) -> Array:
-    """Returns the corners of triangles in an image, (k, 3, 2), pixels, y down."""
+    """Returns the corners of triangles in an image, shape (k, 3, 2), pixels, y down."""
     first = rows["pos"].astype(float)
     edges = rows["mat"].astype(float)[:, :, :2] * rows["size"].astype(float)[:, None, :2]
     world = np.stack([first, first + edges[:, :, 0], first + edges[:, :, 1]], axis=1)
@@ -40,11 +41,11 @@ def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: in
 
 
 def blend(image: Pixels, corners: Array, rgba: Array) -> None:
-    """Draws triangles into an image, in place, by the fraction of each pixel that they cover.
+    """Draws triangles into an image in place, weighted by the covered fraction of each pixel.
 
     Args:
-        corners: (k, 3, 2), pixels, y down.
-        rgba: displayed colors, (k, 4).
+        corners: corners of the triangles, shape (k, 3, 2), pixels, y down.
+        rgba: displayed colors of the triangles, shape (k, 4).
     """
     height, width = image.shape[:2]
     for triangle, colour in zip(corners, rgba, strict=True):

@@ -1,8 +1,8 @@
 """`GeomPool`: the geoms of an `MjvScene` as objects of a Filament scene.
 
-Every geom is a separate object: geoms of a model with their meshes, all others from a pool by type.
-Combining decor into one mesh would require uploading it in every frame, once for each color, since
-a material has one color.
+Every geom is a separate object. Geoms of the model have objects with their own meshes, and all
+other geoms use a pool of objects for each type. If decor were combined into meshes, one mesh for
+each color would have to be uploaded in every frame, because a material has only one color.
 """
 
 from __future__ import annotations
@@ -33,9 +33,10 @@ _RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _ROLES = int(mujoco.mjtTextureRole.mjNTEXROLE)
 _CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-# A surface with this fraction of a color, which emits the rest, hardly depends on light.
+# Fraction of a color that depends on light. The rest is emitted, so decor looks almost the same in
+# any light.
 _DARK = 1 / 256
-_REFLECTANCE = 0.08  # per specular: 0.04, as of plastic, for MuJoCo's default specular of 0.5
+_REFLECTANCE = 0.08  # per specular: MuJoCo's default specular of 0.5 gives 0.04, as for plastic
 _LIT = 0.7  # fraction of the color of doubles that depends on light; the rest is emitted
 # Filament compresses colors near white: displayed linear color, and the light needed for it.
 # Source: grays and colors rendered by MuJoCo 4.0.0, to 2 of 255.
@@ -43,11 +44,11 @@ _NEAR_WHITE = (
     (0.0, 0.83, 0.871, 0.905, 0.931, 0.992, 1.0),
     (0.0, 0.83, 0.9, 0.95, 1.0, 1.1, 1.3),
 )
-_FAINTEST = 0.01  # opacity
+_FAINTEST = 0.01  # minimum opacity
 
 
 class ModelGeoms:
-    """The geoms of a model that receive light, and its meshes and textures."""
+    """The geoms of a model that receive light, with the model's meshes and textures."""
 
     def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
         module = filament()
@@ -97,7 +98,7 @@ class GeomPool:
     """Objects of a Filament scene for the geoms of an `MjvScene`.
 
     Args:
-        doubles: geoms of the shown model that belong to doubles, (ngeom,) bool.
+        doubles: mask (ngeom,) of the shown model's geoms that belong to doubles.
         is_dark: whether the background of transparent geoms is mostly dark.
     """
 
@@ -113,11 +114,11 @@ class GeomPool:
         self._module, self._context, self._scene = filament(), context, scene
         self._models = [ModelGeoms(context, scene, model) for model in models]
         self._doubles, self._is_dark = doubles, is_dark
-        # By type, number of the mesh or -1, and whether they cast shadows, which is fixed when an
-        # object is created.
+        # The key consists of the type, the number of the mesh or -1, and whether objects cast
+        # shadows. Shadow casting cannot be changed after an object is created.
         self._pool: dict[tuple[int, int, bool], list[Any]] = {}
         self._shown: set[Any] = set()
-        self._looks: dict[Any, tuple[bytes, float, int]] = {}  # of the materials that were set
+        self._looks: dict[Any, tuple[bytes, float, int]] = {}  # last material of each object
         quality = models[0].vis.quality
         self._quality = int(quality.numstacks), int(quality.numslices), int(quality.numquads)
 
@@ -225,12 +226,12 @@ class GeomPool:
 
 
 def opacity_of(alpha: float) -> float:
-    """Returns the opacity of a geom in the classic renderer, which blends twice."""
+    """Returns the effective opacity of a geom in the classic renderer, which blends geoms twice."""
     return 1.0 - (1.0 - min(float(alpha), 1.0)) ** 2
 
 
 def seen_rgba(row: Any) -> Array:
-    """Returns the color of a scene's row with its opacity in the classic renderer."""
+    """Returns the color of a geom's row, with the effective opacity in the classic renderer."""
     rgba: Array = row["rgba"].copy()
     rgba[3] = opacity_of(rgba[3])
     return rgba
@@ -238,11 +239,11 @@ def seen_rgba(row: Any) -> Array:
 
 @lru_cache(maxsize=4096)
 def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], float]:
-    """Returns light (3,) and opacity that look like a color in the classic renderer.
+    """Returns the light (3,) and opacity that look like a color in the classic renderer.
 
-    The classic renderer mixes displayed colors, Filament mixes light, so the same opacity looks
+    The classic renderer mixes displayed colors. Filament mixes light, so the same opacity looks
     paler. The result minimizes the difference over gray backgrounds, which are mostly dark if
-    `is_dark`.
+    `is_dark` is true.
     """
     colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
     if alpha >= 1.0:
@@ -253,20 +254,21 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
     spread = there - there.mean()
     through = float((spread * (wanted - wanted.mean(axis=0))).sum() / (3.0 * (spread**2).sum()))
     opacity = float(np.clip(1.0 - through, _FAINTEST, 1.0 - 1e-3))
-    # At least the light of the color itself, so that several layers have its hue.
+    # Use at least the light of the color itself, so that several layers have the same hue.
     own = opacity * linear(colour)
     light = np.maximum((wanted - (1.0 - opacity) * there).mean(axis=0), own)
     return tuple(light.tolist()), opacity
 
 
 def finish(row: Any) -> tuple[float, float]:
-    """Returns Filament's specular color and glossiness, 0 to 1, of a scene's row.
+    """Returns Filament's specular color and glossiness, 0 to 1, for a geom's row.
 
-    MuJoCo's default specular, 0.5, becomes the reflectance of plastic at normal incidence, 0.04.
+    MuJoCo's default specular of 0.5 becomes the reflectance of plastic at normal incidence, 0.04.
+    The Blinn-Phong exponent n is MuJoCo's shininess times 128. It is converted to the width alpha
+    of a microfacet lobe by alpha^2 = 2 / (n + 2). Filament's roughness is sqrt(alpha), and its
+    glossiness is 1 - roughness.
 
-    Source: the exponent n of Blinn-Phong, MuJoCo's shininess times 128, as the width of a
-    microfacet lobe, alpha^2 = 2 / (n + 2) (Walter et al., Microfacet Models for Refraction, 2007);
-    Filament's roughness is sqrt(alpha), its glossiness 1 - roughness.
+    Source: Walter et al., Microfacet Models for Refraction, 2007.
     """
     exponent = 128.0 * max(float(row["shininess"]), 0.0)
     return _REFLECTANCE * float(row["specular"]), 1.0 - (2.0 / (exponent + 2.0)) ** 0.25
@@ -312,9 +314,9 @@ def _tangents(normals: Array) -> Array:
 
 
 def own_texture(context: Any, model: mujoco.MjModel, index: int) -> Any | None:
-    """Returns a texture of a model in displayed colors; None for a texture without colors.
+    """Returns a texture that Filament interprets as displayed colors, or None without colors.
 
-    By default, Filament interprets textures as linear light, so they look pale.
+    By default, Filament interprets textures as linear light, which makes them look pale.
     """
     module = filament()
     channels = int(model.tex_nchannel[index])

@@ -1,4 +1,4 @@
-"""`Filament`: MuJoCo's Filament renderer as a value of `--renderer`."""
+"""`Filament`: adds MuJoCo's Filament renderer as a value of `--renderer`."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Filament(Renderer):
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[FilamentRenderer, AddedSurroundings | None]:
-        """Returns the renderer, and the surroundings, which are a separate model without OpenGL."""
+        """Returns the renderer and its surroundings, which are a separate model without OpenGL."""
         surroundings = added_surroundings(world, None)
         renderer = FilamentRenderer(
             world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),

@@ -1,4 +1,4 @@
-"""The light of Filament's images: options, the sky, and the lights of an `MjvScene`."""
+"""Lights Filament's images with the sky and the lights of an `MjvScene`, and sets view options."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _OPTIONS: dict[str, str | float] = {
     "bloom.enabled": 0.0,
     "ao.enabled": 1.0,
 }
-# Shadows whose softness grows with distance (`pcss`) double the time of a frame in software. Fewer
-# samples of occlusion save 3 % and look the same.
+# Shadows whose softness grows with distance (`pcss`) double the software rendering time of a frame.
+# Fewer occlusion samples save 3 % and look the same.
 _QUICK: dict[str, str | float] = {"shadows.type": "pcf", "ao.quality": "low"}
 _BY_QUALITY: dict[Quality, dict[str, str | float]] = {
     "draft": _QUICK,
     "normal": _QUICK,
     "fine": {"shadows.type": "pcss"},
 }
-_SHADOW_MAP = 2048  # pixels a side, of each of four cascades
-_FAR = 20.0  # distance of further directional lights, which become spotlights, in model extents
+_SHADOW_MAP = 2048  # side of each of the four cascades, pixels
+_FAR = 20.0  # distance of additional directional lights (rendered as spotlights), in model extents
 _SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
     int(getattr(mujoco.mjtLightType, f"mjLIGHT_{name}"))
     for name in ("SPOT", "DIRECTIONAL", "POINT", "IMAGE")
@@ -77,13 +77,13 @@ _SIZES = {  # of options with several numbers
 def options_model(
     model: mujoco.MjModel, quality: Quality, *, has_occlusion: bool = True
 ) -> mujoco.MjModel:
-    """Returns a model with the options of the view, which Filament reads from custom fields.
+    """Returns a model whose custom fields contain the view options that Filament reads.
 
-    Options of the shown model override ours. The shown model is not changed, because pages also
-    read it.
+    Options of the shown model override the defaults of sero-mj. The shown model is not changed,
+    because web pages also read it.
 
     Args:
-        has_occlusion: whether ambient occlusion may be used; False overrides the model.
+        has_occlusion: whether ambient occlusion is allowed. False overrides the model's option.
     """
     spec = mujoco.MjSpec()
     own = _own_options(model)
@@ -132,7 +132,7 @@ def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 class SceneLights:
-    """The lights of a Filament scene: the sky, and the lights of an `MjvScene`."""
+    """Manages the lights of a Filament scene: the sky and the lights of an `MjvScene`."""
 
     def __init__(
         self, context: Any, scene: Any, model: mujoco.MjModel, look: str, palette: Palette
@@ -167,7 +167,7 @@ class SceneLights:
             share = np.array(light.diffuse, float)
             level = float(share.max()) or 1.0
             illuminance = self._palette.physical.key * np.pi * _WHITE * level / self._palette.key
-            if kind == _DIRECTIONAL and has_directional:  # Filament supports one
+            if kind == _DIRECTIONAL and has_directional:  # Filament supports only one
                 kind, distance = _SPOT, _FAR * self._extent
                 place = self._centre - distance * towards
             distance = max(float(np.linalg.norm(place - self._centre)), 0.1)

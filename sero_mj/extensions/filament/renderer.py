@@ -1,7 +1,7 @@
 """`FilamentRenderer`: renders an `MjvScene` with Filament instead of MuJoCo's classic renderer.
 
-It uses the same scene, with the same camera, geoms, lights and flags. Check `probe.py` first: if
-Filament does not work, it ends the process.
+It renders the same scene, with the same camera, geoms, lights and flags. Call
+`probe.filament_problem` first, because Filament ends the process if it cannot render.
 """
 
 from __future__ import annotations
@@ -29,8 +29,8 @@ from .light import SceneLights, options_model
 
 log = logging.getLogger(__name__)
 
-MAX_OCCLUDED = 300  # maximum number of frames with occlusion if it leaks memory
-MAX_GEOMS = 10_000  # of a scene, as in `mujoco.Renderer`
+MAX_OCCLUDED = 300  # maximum number of frames with occlusion if the driver leaks memory
+MAX_GEOMS = 10_000  # maximum number of geoms of a scene, as in `mujoco.Renderer`
 _FLAGS = mujoco.mjtRndFlag
 
 
@@ -38,13 +38,13 @@ class FilamentRenderer:
     """Renders a scene of MuJoCo into arrays.
 
     Args:
-        doubles: geoms of doubles, (ngeom,), which emit light; None for none.
-        surroundings: model of a floor and a sky, for a model without.
-        quality: `draft` is without occlusion, `fine` has the softest shadows.
+        doubles: mask (ngeom,) of geoms of doubles, which emit light; None for no doubles.
+        surroundings: model of a floor and a sky; None if the shown model has its own.
+        quality: `draft` has no occlusion, `fine` has the softest shadows.
         frames: approximate number of frames to be rendered. With occlusion, Mesa's software
-            renderer (22.3) compiles a shader for every frame and never frees 1 MB of memory.
-            Therefore occlusion is off from the start for more than `MAX_OCCLUDED` frames, and
-            is switched off after this number.
+            renderer (22.3) compiles a shader for every frame and leaks 1 MB each time. With this
+            renderer, occlusion is off from the start if `frames` exceeds `MAX_OCCLUDED`, and is
+            otherwise switched off after `MAX_OCCLUDED` frames.
 
     Attributes:
         driver: name of the Vulkan device.

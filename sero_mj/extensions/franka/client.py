@@ -1,4 +1,4 @@
-"""`kind = "franka"`: a client of libfranka controls a simulated robot through its FCI."""
+"""`kind = "franka"`: a libfranka client controls a simulated robot over FCI."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from .robot import FrankaRobot
 
 
 class FrankaClient(Reachable):
-    """A client of Franka's FCI. The simulated robot is an FR3, a Panda, or another 7-joint robot.
+    """A libfranka client. The simulated robot is an FR3, a Panda, or another robot with 7 joints.
 
     Attributes:
         host: address of the robot. Several robots can use different addresses of this machine,
@@ -46,7 +46,7 @@ class FrankaClient(Reachable):
         "command_age",
         "step_lateness",
     )
-    title: ClassVar[str] = "client of libfranka"
+    title: ClassVar[str] = "libfranka client"
     order: ClassVar[int] = 80
     protocol_joints: ClassVar[int] = JOINTS
 

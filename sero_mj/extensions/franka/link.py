@@ -30,7 +30,7 @@ _CONNECT_TIMEOUT = 1.0  # s after which a connection without a request is replac
 
 
 class Robot(Protocol):
-    """What a link needs of a robot."""
+    """Interface of a robot for its link."""
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
         """Called with a request of a connected client, see `messages.REQUESTS`."""
@@ -55,7 +55,7 @@ class FciLink(Link):
         self._messages, self._owner = messages, weakref.proxy(owner)
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
-        self._since = 0.0  # time of its connection
+        self._since = 0.0  # time of the connection
         self._peer: tuple[str, int] | None = None  # receiver of the states
         self._received = bytearray()
         self._is_new = Once()
@@ -163,7 +163,7 @@ class FciLink(Link):
             self.receive(take)
 
     def share_core(self) -> None:
-        """Moves a started program to the core of the simulation, if that is declared."""
+        """Moves a started program to the CPU core of the simulation, if that is declared."""
         self._share_core()
 
     # ---- requests

@@ -16,11 +16,11 @@ import numpy as np
 from ...base.frames import Array
 
 HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
-MAX_BYTES = 4096  # of a request; the longest one has 428
+MAX_BYTES = 4096  # of a request; the longest request has 428 bytes
 SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status of answers, except for Move
 INCOMPATIBLE = 1  # status of the answer to Connect
 IDLE, MOVE, REFLEX = 1, 2, 4  # robot_mode
-# In requests to move. In states, generator numbers are one higher, and 0 is none.
+# Numbers in requests to move. In states, generator numbers are higher by 1, and 0 means none.
 JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR = 0, 1, 4
 JOINT_IMPEDANCE, CARTESIAN_IMPEDANCE, EXTERNAL = 0, 1, 2
 OTHER_CONTROLLER = 3  # in states without a motion
@@ -45,16 +45,16 @@ REQUESTS = {
 }
 _UNTIL = {"GetCartesianLimit": 5, "SetFilters": 5, "LoadModelLibrary": 9}
 _SINCE = {"GetRobotModel": 8}
-_ASYNC_SINCE, _ASYNC = 10, "?7d"  # of Move: whether it is asynchronous, and velocities, rad/s
+_ASYNC_SINCE, _ASYNC = 10, "?7d"  # fields of Move: is_asynchronous, and velocities in rad/s
 _NO_GENERATOR_SINCE = 7
-# Status of answers to Move; since version 6, two of safety functions follow the third one.
+# Status of answers to Move. Since version 6, two safety functions follow the third status.
 _MOVE_STATUS = (
     "success", "started", "preempted", "not_possible", "singular", "invalid", "reflex",
     "emergency", "input_error", "aborted",
 )  # fmt: skip
 _SAFETY_SINCE = 6
 _COMMAND = "<Q7d7d16d6d2d??7d"  # id, q_c, dq_c, O_T_EE_c, O_dP_EE_c, elbow_c, flags, tau_J_d
-_FINISHED_SINCE = 7  # a flag at the end that finishes torque control
+_FINISHED_SINCE = 7  # first version with a final flag that finishes torque control
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class Messages:
 
     @cached_property
     def requests(self) -> dict[int, tuple[str, struct.Struct]]:
-        """Request number to name, and the structure of what follows the head."""
+        """Mapping from request numbers to names and payload structures."""
         names = [
             name
             for name in REQUESTS
@@ -90,7 +90,7 @@ class Messages:
 
     @cached_property
     def numbers(self) -> dict[str, int]:
-        """Request name to number."""
+        """Mapping from request names to numbers."""
         return {name: number for number, (name, _) in self.requests.items()}
 
     def answer(self, request: str, number: int, status: int, more: bytes = b"") -> bytes:

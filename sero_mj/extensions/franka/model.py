@@ -1,4 +1,4 @@
-"""A robot's model as URDF, which clients of FCI request (`GetRobotModel`, server 8 and later)."""
+"""Writes a robot model as URDF, which FCI clients request (`GetRobotModel`, server 8 or later)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from ...base.frames import Array, frame, inverse, rotation_from_quat, rpy_from_rotation
 from ...simulate.control.robot_model import RobotModel
 
-# libfranka searches the last link by this name, and treats robots named `tmr...` as mobile.
+# libfranka finds the last link by this name, and treats robots named `tmr...` as mobile.
 _ROBOT, _LINK, _JOINT = "fr3", "link{}", "joint{}"
 # Velocity limits near position limits, which libfranka requires: deceleration in rad/s2 and
 # velocity offset in rad/s of each joint of an FR3 (libfranka, test/fr3.urdf).

@@ -21,12 +21,12 @@ JOINTS = 7
 MAX_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
 MAX_TORQUE_RATE = 1000.0  # Nm/s
 MAX_ACCELERATION = 10.0  # rad/s2
-MAX_LOST = 20  # consecutive commands
+MAX_LOST = 20  # consecutive missing commands
 MAX_NUMBER = 1e9  # larger values are not physical, and could overflow
-_WINDOW = 100  # commands that the success rate is averaged over
+_WINDOW = 100  # number of commands over which the success rate is averaged
 # Clients compute with float32 states: 4 um of an angle of 4 rad are 0.5 rad/s2 in one cycle.
 _RATE_TOLERANCE, _ACCELERATION_TOLERANCE = 1.0, 1.0
-_START_TOLERANCE = 1e-3  # rad, of the first commanded angles; our choice
+_START_TOLERANCE = 1e-3  # rad; tolerance of the first commanded angles, chosen by us
 
 
 class Violation(Exception):
@@ -44,7 +44,7 @@ class Motion:
     Attributes:
         since: start on the system clock, s.
         at: simulation time of the last received command, s.
-        came: whether each of the last commands arrived in time.
+        came: whether each of the last 100 commands arrived in time.
     """
 
     number: int
@@ -63,12 +63,12 @@ class Motion:
 
     @property
     def success(self) -> float:
-        """Share of the last 100 commands that arrived in time."""
+        """Fraction of the last 100 commands that arrived in time."""
         return sum(self.came) / len(self.came) if self.came else 0.0
 
 
 class Desired:
-    """Desired joint motion, updated by commands.
+    """Desired joint motion, which commands update.
 
     Attributes:
         torques: torques commanded by a client, without gravity, shape (7,), Nm.
@@ -79,18 +79,18 @@ class Desired:
         self.angles, self.velocities, self.accelerations, self.torques = np.zeros((4, JOINTS))
 
     def rest_at(self, angles: Array, velocities: Array) -> None:
-        """Starts from angles and velocities of the robot, shape (7,)."""
+        """Sets the desired motion to the angles and velocities of the robot, shape (7,)."""
         self.angles[:], self.velocities[:] = angles, velocities
         self.accelerations[:] = self.torques[:] = 0.0
 
     def brake(self) -> None:
-        """Decelerates for one cycle."""
+        """Decelerates the desired motion for one cycle."""
         max_change = MAX_ACCELERATION * CYCLE
         self.velocities -= np.clip(self.velocities, -max_change, max_change)
         self.angles += self.velocities * CYCLE
 
     def extrapolate(self) -> None:
-        """Continues for one cycle without a command, at the acceleration of the last one."""
+        """Continues for one cycle without a command, at the last commanded acceleration."""
         self.velocities += self.accelerations * CYCLE
         self.angles += self.velocities * CYCLE
 

@@ -32,15 +32,15 @@ from ...data.receive.udp_socket import (
 )
 
 PORT = 1337
-CONNECT = 0  # the command
+CONNECT = 0  # command number
 _HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
 _REQUEST = struct.Struct("<HH")  # version, UDP port
 _ANSWER = struct.Struct("<BH")  # status, version of the server
 _SUCCESS, _INCOMPATIBLE = 0, 1
-_MAX_BYTES = 1024  # of an answer; today's answers have 15
-OLDEST, NEWEST = 3, 10  # versions of servers
-_SINGLE_SINCE = 10  # values of a state are float32, before that float64
-_BOOLEANS = {3: 37, 4: 37}  # version to the number of errors; 41 in all others
+_MAX_BYTES = 1024  # of an answer; current servers send 15 bytes
+OLDEST, NEWEST = 3, 10  # supported server versions
+_SINGLE_SINCE = 10  # first version with float32 values in states instead of float64
+_BOOLEANS = {3: 37, 4: 37}  # mapping from versions to numbers of errors (default: 41)
 
 # All fields of `RobotState` in order: name, first version, and size or struct type.
 FIELDS: tuple[tuple[str, int, int | str], ...] = (
@@ -124,7 +124,7 @@ ERRORS = (
 
 
 def state_fields(version: int) -> dict[str, tuple[int, str]]:
-    """Fields of the state of a server version: name to offset in bytes and `struct` format."""
+    """Returns a mapping from state fields to their offsets in bytes and `struct` formats."""
     number = "f" if version >= _SINGLE_SINCE else "d"
     fields, at = {}, 0
     for name, since, count in FIELDS:
@@ -140,7 +140,7 @@ def state_fields(version: int) -> dict[str, tuple[int, str]]:
 
 
 def state_size(version: int) -> int:
-    """Size in bytes of the state that a server of this version sends."""
+    """Returns the size in bytes of the state that a server of this version sends."""
     return sum(struct.calcsize(f"<{kind}") for _, kind in state_fields(version).values())
 
 
@@ -152,7 +152,7 @@ def _picker(version: int) -> struct.Struct:
     return struct.Struct("<" + "".join(kinds))
 
 
-# Size of a state to the struct that reads it; versions with the same size have the same layout.
+# Mapping from state sizes to structs. Versions with the same size have the same layout.
 _PICKERS = {state_size(version): _picker(version) for version in range(OLDEST, NEWEST + 1)}
 _LONGEST_STATE = max(_PICKERS)
 
@@ -160,10 +160,11 @@ _LONGEST_STATE = max(_PICKERS)
 class FrankaReceiver(ConnectingSource):
     """Receives the state of a Franka arm without commanding it.
 
-    The version of the robot's server is detected. A robot accepts one client at a time, so no other
-    client can connect. `torques` include gravity, `commanded_torques` do not. `external_torques`,
-    `tcp_force` and `tcp_moment` are exerted by the environment on the robot; the latter act at the
-    stiffness frame, in base directions, and are 0 near a singularity.
+    The server version of the robot is detected automatically. A robot accepts only one client at a
+    time, so your own program cannot connect while this source is open. `torques` include gravity,
+    and `commanded_torques` do not. `external_torques`, `tcp_force` and `tcp_moment` are exerted by
+    the environment on the robot. `tcp_force` and `tcp_moment` act at the stiffness frame, in base
+    directions, and are 0 near a singularity.
 
     Attributes:
         host: address of the robot's controller.
@@ -284,7 +285,7 @@ class FrankaReceiver(ConnectingSource):
                 if self._accept_batch(batch, expected):
                     silent = f"sends nothing for {connecting.PATIENCE:g} s"
                     deadline = clock.monotonic() + connecting.PATIENCE
-                elif clock.monotonic() > deadline:  # other senders keep the socket ready
+                elif clock.monotonic() > deadline:  # packets of other senders can prevent a timeout
                     raise TimeoutError(silent)
             if connection.socket in ready:
                 raise ProtocolError("sends an unexpected message", connection.read())

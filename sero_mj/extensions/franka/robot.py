@@ -37,24 +37,24 @@ from .state import FrankaState
 
 log = logging.getLogger(__name__)
 
-_BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
+_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
 _LOST = "communication_constraints_violation"
 # Time in s after which a state is sent again in lockstep. libfranka does not answer the first state
 # of a motion, and may skip others. A client that takes longer sees a state twice.
 _FIRST_REPEAT, _REPEAT = 0.02, 0.1
-_MAX_STIFFNESS = 5000.0  # Nm/rad, of the robot's own control
+_MAX_STIFFNESS = 5000.0  # Nm/rad; maximum stiffness of the robot's own control
 _NO_LIMITS = bytes(24 + 128 + 1)  # payload of the answer that rejects GetCartesianLimit
 
 
 class FrankaRobot(Controller):
     """Sends a state in each cycle of `steps` time steps, and applies the command that answers it.
 
-    Between motions, and during motions of joint positions and velocities, a joint impedance about
-    the desired angles holds the robot. Commanded torques are added to gravity compensation.
+    Between motions, and during position and velocity motions, joint impedance control holds the
+    robot at the desired angles. Commanded torques are added to gravity compensation.
 
     Attributes:
-        logged: mode as FCI numbers it, success rate of commands, age of the current command and
-            delay of this step in s.
+        logged: number of the robot mode in FCI, success rate of commands, age of the current
+            command in s, and delay of this step in s.
         wrong: number of datagrams that are not commands, or answer a state that was not sent.
     """
 
@@ -122,7 +122,7 @@ class FrankaRobot(Controller):
 
     @property
     def commanded_angles(self) -> Array:
-        """Desired angles, shape (7,), rad; the measured ones while torques are commanded."""
+        """Desired angles, shape (7,), rad; the measured angles while torques are commanded."""
         return self._desired.angles
 
     # ---- cycles

@@ -13,14 +13,14 @@ from ...simulate.control.robot_model import RobotModel
 from .receiver import state_fields, state_size
 
 _FRAMES = ("F_T_EE", "EE_T_K", "F_T_NE", "NE_T_EE")
-_SINGULAR = 1e-8  # determinant of J J^T below which no external force is computed; our choice
+_SINGULAR = 1e-8  # no external force is computed if det(J J^T) is smaller; chosen by us
 
 
 class FrankaState:
     """The packet of a state, written in place; matrices are column-major.
 
     Attributes:
-        views: field name to a view of its values in `packet`, see `receiver.FIELDS`.
+        views: mapping from field names to views of their values in `packet`, see `receiver.FIELDS`.
     """
 
     def __init__(self, version: int, model: RobotModel, cycle: float) -> None:
@@ -44,12 +44,12 @@ class FrankaState:
         return self.views[field]
 
     def set_frame(self, name: str, pose: Array) -> None:
-        """Sets the pose (4, 4), m, of a frame beyond the flange."""
+        """Sets the pose of a frame beyond the flange, shape (4, 4), m."""
         self._frames[name] = pose
         self[name] = pose.T.ravel()
 
     def measure(self, sensed: Sensed, external: Array) -> None:
-        """Writes measured values and what follows from them.
+        """Writes the measured values and the values computed from them.
 
         `external` are the torques that the environment exerts on the robot, shape (7,), Nm.
         """

@@ -14,15 +14,16 @@ from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
 from .robot import JOINTS, FriRobot, FriSession
 
-# What a client may add to joint positions, and the robot control that this requires.
+# Mapping from quantities that a client may command in addition to joint positions to the required
+# control mode.
 _REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
 class FriClient(FriSession):
-    """A client of FRI. The simulated robot is an LWR, an iiwa or another robot of seven joints."""
+    """An FRI client. The simulated robot is an LWR, an iiwa or another robot with 7 joints."""
 
     logged: ClassVar[tuple[str, ...]] = ("fri_state", "fri_quality", "step_lateness")
-    title: ClassVar[str] = "client of FRI"
+    title: ClassVar[str] = "FRI client"
     order: ClassVar[int] = 75
     protocol_joints: ClassVar[int] = JOINTS
 

@@ -23,7 +23,7 @@ from .receiver import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
 WINDOW = 100  # packets that FRI averages over
-_MAX_UNANSWERED = 2  # packets sent before a missing answer counts as missed; our choice
+_MAX_UNANSWERED = 2  # packets after which an answer counts as missed, chosen by us
 # Minimum answer rate of each quality. KUKA has not published the thresholds; these are ours.
 _MIN_ANSWER_RATES = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}
 _FRI_LEAD = 0.3  # s; large enough to see the commanded next to the measured position
@@ -34,12 +34,13 @@ _JOINT_IMPEDANCE = 3
 
 
 class FriSignals:
-    """Consistent values of all FRI events for an example motion.
+    """Computes consistent values of all FRI events for an example motion.
 
-    The flange frame is computed from the DH table and the rest by MuJoCo, so that a flange check
-    compares two computations. Measured torques are the torques of the motion minus those of an
-    external force. FRI gives the wrench and the Jacobian in the task frame of the controller's
-    stiffness; here this is the flange frame. An amplitude of 0 is standstill, 1 the full motion.
+    The flange frame is computed from the DH table and all other values by MuJoCo, so that a flange
+    check compares independent computations. Measured torques are the torques of the motion minus
+    those of an external force. FRI expresses the wrench and the Jacobian in the task frame of the
+    controller's stiffness, which is the flange frame here. The amplitude scales the motion: 0 is
+    standstill, and 1 is the full motion.
     """
 
     def __init__(self, robot: SerialRobot, amplitude: float = 1.0) -> None:
@@ -97,7 +98,7 @@ class FriController:
         cycle: time between packets, 0.001 to 0.1 s.
         quality: name of a quality to report regardless of the answers.
         amplitude: scale of the motion, 0 to 1.
-        faults: faults of the network that `run` sends through (default: none).
+        faults: simulated network faults in `run` (default: none).
 
     Attributes:
         command_flags: all flags that were set in answers, combined.
@@ -186,7 +187,7 @@ class FriController:
     def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
         """Sends for a duration in s (default: until interrupted) and processes answers.
 
-        The `packets` of the report include those that the simulated network lost.
+        `packets` of the returned report includes packets lost by the simulated network.
         """
         to.socket.setblocking(False)
         before = self.sent
@@ -280,7 +281,7 @@ class AnswerStatistics:
 
 @dataclass
 class NetworkFaults:
-    """A network that loses, duplicates and swaps packets with these probabilities (0 to 1)."""
+    """Simulates a network that loses, duplicates and swaps packets with probabilities of 0 to 1."""
 
     loss: float = 0.0
     duplicates: float = 0.0

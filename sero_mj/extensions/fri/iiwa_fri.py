@@ -3,8 +3,8 @@
 The robot's program holds its position and lets a client overlay another one, as in KUKA's examples.
 The session waits until the connection is good (`MONITORING_WAIT`), requests commands
 (`COMMANDING_WAIT`, in which a client mirrors the angles of the program) and follows them
-(`COMMANDING_ACTIVE`). A connection that is no longer good, or a wrong command, ends the overlay
-permanently, as it ends the program on the robot.
+(`COMMANDING_ACTIVE`). If the connection is no longer good or a command is invalid, the overlay ends
+permanently. On the real robot, this ends the program.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _ADDITIONS = {"wrench": (2, 6), "torque": (3, JOINTS)}
 _NORMAL, _ACTIVE_DRIVE, _AUTOMATIC, _JOINT_OVERLAY = 0, 2, 2, 1
 _COUNTER_MASK = 0xFFFFFFFF
 _MAX_COMMAND_BYTES = 1500
-_BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
+_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
 _ZYX_TO_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches list moments in the order z, y, x
 
 
@@ -64,9 +64,9 @@ class IiwaFri(FriRobot):
             integer_field(7, _CONTROLS[declared.control]),
         )
         self._observer = MomentumObserver(model, _BANDWIDTH, timestep)
-        self._torques: Array = np.zeros(JOINTS)  # commanded in the last step
+        self._torques: Array = np.zeros(JOINTS)  # torques commanded in the last step
         self._reflected = 0
-        self._command_fields: fri_iiwa.Fields = {}  # of the last command
+        self._command_fields: fri_iiwa.Fields = {}  # fields of the last command
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         self._observer.update(sensed)

@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 MONITOR, COMMANDED = 1, 2
 _UNACCEPTABLE, _OK = 0, 2
-# Flags of a command, and those that have an effect in each control mode of the robot.
+# All flags of a command, and the flags that have an effect in each control mode.
 ANGLES, TORQUES, STIFFNESS, DAMPING = 0x1, 0x4, 0x10, 0x20
 FRAME, WRENCH, CARTESIAN_STIFFNESS, CARTESIAN_DAMPING = 0x100, 0x400, 0x1000, 0x2000
 CONTROLS = {"position": 1, "cartesian_impedance": 2, "joint_impedance": 3}

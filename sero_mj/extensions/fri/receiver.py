@@ -29,11 +29,11 @@ TORQUE_SIGN: TorqueSign = 1  # of an LWR; not verified on hardware
 CYCLES = (0.001, 0.1)  # s; range of the controller's setting
 ALL_DRIVES = 0x7F  # `power` with all seven drives on
 
-INVALID = 65535  # -1, as state and quality are unsigned
+INVALID = 65535  # -1 as an unsigned state or quality
 STATES = {0: "off", 1: "monitor", 2: "command", INVALID: "invalid"}
 QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "invalid"}
 
-_ID = 0x2006  # of measurements
+_ID = 0x2006  # datagram id of measurements
 _HEADER = "send_counter:1H reflected_counter:1H packet_size:1H=size datagram_id:1H={}"
 _KRL = "krl_real:16f krl_int:16i krl_bool:1H 2x"
 # From the controller, 916 bytes.
@@ -172,7 +172,7 @@ def _reverse_moments(values: dict[str, Any]) -> None:
         values["jacobian"] = turned.reshape(rows.shape)
 
 
-_HEAD = struct.Struct("<4H")  # as _HEADER has it
+_HEAD = struct.Struct("<4H")  # layout of _HEADER
 _SIZE = Structure(MEASUREMENT, is_double=False).size
 _NO_COMMAND = Structure(COMMAND).encode({})[4:]
 
@@ -180,7 +180,7 @@ _NO_COMMAND = Structure(COMMAND).encode({})[4:]
 def counter_of(packet: memoryview, length: int) -> int | None:
     """Returns the `send_counter` of a measurement, or None for any other packet.
 
-    Checks the same as `FriLayout.find_wrong_constants`, ten times as fast for one packet.
+    The checks are those of `FriLayout.find_wrong_constants`, but ten times faster for one packet.
     """
     if length != _SIZE:
         return None
@@ -225,9 +225,9 @@ class FriReceiver(UdpReceiver):
             Med. For the latter, the default port is 30200.
         answer: whether to answer measurements. Every answer is a command packet without a command:
             except for its header, everything including the flags is 0 or omitted. Without answers,
-            the controller rates the quality as unacceptable or poor. With answers, an LWR that its
-            program has put into command mode stays there and follows that program. An iiwa that
-            waits for commands or follows them gets no answer. Answers have priority: packets are
+            the controller rates the quality as unacceptable or poor. With answers, an LWR in
+            command mode stays in command mode and follows the robot program. An iiwa that waits for
+            commands or follows them receives no answer. Answers have priority, so packets are
             processed up to 4 ms later.
         torque_sign: factor of measured and commanded torques, 1 or -1 (default: 1 for an LWR, -1
             for an iiwa).
@@ -261,7 +261,7 @@ class FriReceiver(UdpReceiver):
         return fields
 
     def model_post_init(self, context: Any, /) -> None:
-        """Lets messages of an iiwa leave out what they may, until the routes are known."""
+        """Allows values that an iiwa may omit to be missing until the routes are known."""
         self.__pydantic_fields_set__.discard("structure")  # it was set by `_complete`
         if self.is_iiwa:
             self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()

@@ -33,8 +33,9 @@ class FriSession(Reachable):
         version: FRI version: `1` for an LWR 4/4+; `iiwa-1`, `iiwa-2` or `iiwa-2.7` (1.x, 2.0 to
             2.6, 2.7 and later) for an iiwa or Med. For the latter, the default port is 30200.
         control: control mode of the robot.
-        command_mode: what clients of an iiwa command: `position`, or positions together with
-            `torque` (under `joint_impedance`) or `wrench` (under `cartesian_impedance`).
+        command_mode: quantity that a client of an iiwa commands: `position`; `torque` in addition
+            to positions (with `joint_impedance`); or `wrench` in addition to positions (with
+            `cartesian_impedance`).
         cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
         commands_from: time in s from which the robot's program requests the command state, which
             begins as soon as the connection quality is sufficient; None for never.
@@ -85,7 +86,7 @@ class FriRobot(Controller, ABC):
         self._stiffness = declared.per_joint("stiffness", JOINTS)
         self._damping = declared.per_joint("damping", JOINTS)
         self._damping_matrix: Array = np.zeros((JOINTS, JOINTS))
-        self._designed_gains, self._design_due = (b"", b""), 0  # due at this step
+        self._designed_gains, self._design_due = (b"", b""), 0  # step of the next computation
         self._target = Target(JOINTS)
         self._cartesian = CartesianImpedance()
         self._inner: Any = None  # joint position or Cartesian impedance controller
@@ -112,7 +113,7 @@ class FriRobot(Controller, ABC):
         is_cartesian = self._declared.control == "cartesian_impedance"
         return None if is_cartesian else self._base + self._offset
 
-    # ---- what differs between the versions of FRI
+    # ---- differences between the versions of FRI
 
     @abstractmethod
     def _update_state(self) -> None: ...

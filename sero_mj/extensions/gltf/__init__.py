@@ -1,4 +1,4 @@
-"""Scenes and runs as glTF animations (.glb), for programs that know nothing about robots.
+"""Exports scenes and runs as glTF animations (.glb), for programs without support for robots.
 
 In: a captured run. Out: the format `glb` of `sero-mj export`.
 Open first: `export.py`.

@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from ...cli.export import ExportOptions
 
 _FLOAT, _UINT = 5126, 5125  # component types of glTF
-_METALLIC, _ROUGHNESS = 0.1, 0.5  # of materials that do not state them
+_METALLIC, _ROUGHNESS = 0.1, 0.5  # defaults for materials
 _GAMMA = 2.2  # glTF's colors are linear
-_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # from z up to y up
-_SECTIONS = 24  # of a cylinder
+_UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # rotation from z up to y up
+_SECTIONS = 24  # number of sides of a cylinder
 _SHOWN, _HIDDEN = 1.0, 1e-6  # scale factors: glTF has no visibility flag
 
 
 def write_animation(options: ExportOptions) -> int:
-    """Writes a scene or a run as a glTF animation; returns 0."""
+    """Writes a scene or a run as a glTF animation, and returns exit code 0."""
     options.accept(*CAPTURE_OPTIONS)
     _, captured = capture_run(options)
     write_glb(captured, options.path)
@@ -71,8 +71,8 @@ def write_glb(captured: CapturedRun, path: Path) -> None:
     model, colours = captured.world.model, geom_colors(captured.world.model)
     gltf = pygltflib.GLTF2(scene=0)
     blob = _Blob(gltf)
-    meshes: dict[Any, int] = {}  # by the declaration of a shape
-    equal: dict[bytes, int] = {}  # by the digest of a shape
+    meshes: dict[Any, int] = {}  # maps declarations of shapes to meshes
+    equal: dict[bytes, int] = {}  # maps digests of shapes to meshes
     bodies: list[list[int]] = [[] for _ in captured.bodies]
     for i in captured.geoms.tolist():
         key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),

@@ -34,7 +34,7 @@ class Photos(Background):
         assert options.camera_file is not None
         if is_photo(over):
             if options.is_video:
-                expected = "expected an image such as .png, because --over is a photo"
+                expected = "expected an image file such as .png, because --over is a photo"
                 raise UsageError(f"-o {options.output}: {expected}")
             options.refuse(
                 ("offset",), " is for videos; use --start for the time of a photo in a recording"
@@ -72,7 +72,7 @@ class Photos(Background):
 
 
 def open_feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
-    """Returns the camera or video that the scene is drawn over."""
+    """Returns the camera or video over which the scene is drawn."""
     assert options.over is not None and options.camera_file is not None
     sources, scene = mirror.sources.values(), mirror.world.scene
     file = Path(options.over)
@@ -93,7 +93,8 @@ def offset_of_video(
 ) -> float:
     """Returns the time of a recording or scenario at which a video starts, s.
 
-    This is `offset` if it is a number, else an estimate based on the motion in both.
+    This is `offset` if it is a number, or else an estimate from the motion in the video and the
+    recording.
     """
     if isinstance(offset, float) or not scene.sources:
         return float(offset or 0.0)

@@ -57,14 +57,14 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
     Attributes:
         photo: photo taken by the camera.
-        robot: robot or scene: a file, or a shipped name.
+        robot: file or shipped name of a robot or scene.
         joint_angles: joint angles of the robot in the photo, separated by commas, rad or m.
         replay: take the pose from a recording.
         start: time of the photo in the recording, s (default: the first packet).
-        points: table of points and their pixels; .csv or .toml.
-        camera_file: intrinsics of the camera; YAML or TOML.
-        output: camera file to write; .yaml or .toml.
-        names: print the names of points, and exit.
+        points: .csv or .toml file with points of the robot and their pixels.
+        camera_file: YAML or TOML file with the intrinsics of the camera.
+        output: camera file to write, .yaml or .toml.
+        names: print the valid names of points and exit.
     """
 
     photo: Annotated[Path, positional("PHOTO")]
@@ -77,13 +77,13 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
 
 def run(options: CalibrateOptions) -> int:
-    """Computes the pose and writes it; returns 0."""
+    """Computes the camera pose, writes the camera file, and returns exit code 0."""
     from ...viewer.image.backend import has_display
 
     if options.points is None and not options.names:
         if not has_display():
             raise UsageError(
-                "there is no display for a window to click points; use --points POINTS.csv with "
+                "there is no display for a window to click points in; use --points POINTS.csv with "
                 "the pixels of points of the robot"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo uses the OpenGL context of the window
@@ -188,7 +188,7 @@ def _click(
     with until_ended(), PointWindow(world, data, points, board, title) as window:
         is_done = window.run()
     if not is_done:
-        raise UsageError("no file was written: the window was closed without Enter")
+        raise UsageError("the window was closed without pressing Enter; no file was written")
     return [
         ClickedPoint(names[k], pixel, np.zeros(3)) for k, pixel in sorted(board.clicked.items())
     ]
@@ -208,12 +208,12 @@ def _report(options: CalibrateOptions, clicked: list[ClickedPoint], found: Calib
     table.add_column("")
     for point, distance, is_used in zip(clicked, off, found.used, strict=True):
         at = [f"{value:.1f}" for value in point.pixel]
-        note = "" if is_used else "ignored: wrong point or name?"
+        note = "" if is_used else "ignored: wrong pixel or name?"
         table.add_row(point.name, *at, f"{distance:.2f} pixels", note)
     print_table(table)
     print(f"root mean square error of {int(found.used.sum())} points: {found.rms:.2f} pixels")
     if found.rms > _MAX_CLICK_ERROR:
-        print("this exceeds the error of clicks: wrong pose, swapped names, or wrong lens?")
+        print("this exceeds the error of careful clicks: wrong pose, swapped names, or wrong lens?")
     errors = ", ".join(f"{value:.1f}" for value in 1e3 * found.position_error)
     place = ", ".join(f"{value:.4f}" for value in T[:3, 3])
     print(f"camera at {place} m, standard errors {errors} mm")

@@ -1,7 +1,7 @@
-"""Computes a camera's pose from points of the robot with known pixels (PnP, by OpenCV).
+"""Computes a camera's pose from points of the robot with known pixels (PnP with OpenCV).
 
-A point is a frame of the scene (`lwr/flange`) or a joint (`lwr/A3`, the middle of its axis), with
-an offset along the frame's axes.
+A point is given by a frame of the scene (`lwr/flange`) or a joint (`lwr/A3`, the middle of the
+joint axis), and an offset along the frame's axes.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .photo_camera import PhotoCamera, opencv
 
 _MIN_POINTS, _MIN_WITH_FOCAL = 4, 6
 _FLATNESS = 1e-3  # maximum distance of coplanar or collinear points, fraction of their extent
-_AMBIGUOUS = 1.5  # factor of the smallest error up to which other cameras also fit
+_AMBIGUOUS = 1.5  # multiple of the smallest error up to which other cameras also fit
 _CLICK_ERROR = 3.0  # maximum error of a careful click, pixels
 _MAX_SUBSETS = 1000
 _MAX_MEAN_ERROR = 0.05  # maximum mean error of a valid camera, fraction of the image width
@@ -37,8 +37,8 @@ _NO_CAMERA = Problem(
     "no camera fits the points",
     expected="the robot's pose in the photo, and the correct names of points",
 )
-_FOCAL = (0.3, 6.0)  # range, fractions of the larger side of the image
-_SAME_POINT = 2e-3  # m
+_FOCAL = (0.3, 6.0)  # range of the focal length, fractions of the image's larger side
+_SAME_POINT = 2e-3  # distance below which two points are the same, m
 _LINK = re.compile(r"link\d+")
 _COLUMNS = ("point", "x", "y")
 _OFFSETS = ("dx", "dy", "dz")
@@ -49,9 +49,10 @@ class ClickedPoint:
     """A point of the robot in a photo.
 
     Attributes:
-        pixel: (2,), to the right and down from the center of the upper left pixel.
-        offset: offset along the axes of the frame, (3,), m.
-        place: file and line that declare it.
+        pixel: coordinates to the right and down from the center of the upper left pixel, shape
+            (2,).
+        offset: offset along the axes of the frame, shape (3,), m.
+        place: file and line that declare the point.
     """
 
     name: str
@@ -65,10 +66,10 @@ class Calibration:
     """The result of a calibration.
 
     Attributes:
-        errors: reprojection error of each point, (k, 2), pixels.
-        used: whether each point was used, (k,); the others are outliers.
-        position_error: standard error of the camera's position, (3,), m.
-        focal_error: standard error of the focal length, pixels; 0 if it was known.
+        errors: reprojection error of each point, shape (k, 2), pixels.
+        used: mask (k,) of the points that were used. All other points are outliers.
+        position_error: standard error of the camera's position, shape (3,), m.
+        focal_error: standard error of the focal length, pixels; 0 if the focal length was known.
     """
 
     camera: PhotoCamera
@@ -79,7 +80,7 @@ class Calibration:
 
     @property
     def rms(self) -> float:
-        """Root mean square error of the used points, pixels."""
+        """Root mean square reprojection error of the used points, pixels."""
         return _rms(self.errors[self.used])
 
 
@@ -98,7 +99,7 @@ def _joints(world: WorldView) -> dict[str, int]:
 
 
 def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
-    """Returns names of points to click, for each robot from its base to its flange.
+    """Returns the names of points to click, in order from the base to the flange of each robot.
 
     Frames of links that coincide with a joint are omitted.
     """
@@ -138,10 +139,10 @@ def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
 
 
 def full_name(world: WorldView, name: str) -> str:
-    """Returns the full name of a point; the robot may be omitted if unambiguous.
+    """Returns the full name of a point from a name that may omit the robot if it is unambiguous.
 
     Raises:
-        ValueError: there is no such point, or several robots have one.
+        ValueError: no point has this name, or points of several robots have it.
     """
     names = point_names(world)
     if name in names:
@@ -156,7 +157,7 @@ def full_name(world: WorldView, name: str) -> str:
 
 
 def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) -> Array:
-    """Returns a point (3,) in the world, m, at an offset (3,), m, along the frame's axes."""
+    """Returns a point's world position (3,), m; `offset` (3,), m, is along its frame's axes."""
     joints = _joints(world)
     if name not in joints:
         T = world.frame(data, name)
@@ -167,10 +168,10 @@ def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) ->
 
 
 def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[ClickedPoint]:
-    """Reads points from a table or from TOML.
+    """Reads points from a .csv or .toml file.
 
-    A .csv file has columns `point,x,y` and optionally `dx,dy,dz`. TOML has tables `[[points]]` with
-    `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
+    A .csv file has the columns `point,x,y` and optionally `dx,dy,dz`. A .toml file has tables
+    `[[points]]` with `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
 
     Raises:
         DeclarationError: all errors of the file.
@@ -181,7 +182,7 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
     elif path.suffix.lower() == ".csv":
         rows = _csv_rows(path, problems)
     else:
-        message = "expected a file of points that ends in .csv or .toml"
+        message = "expected a .csv or .toml file of points"
         raise Problem("", message, str(path)).error()
     points = []
     for row in rows:
@@ -193,7 +194,9 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
                 raise ValueError("expected pixel = [x, y], and offset = [dx, dy, dz] in m")
             if (pixel < -0.5).any() or (pixel > np.array(size) - 0.5).any():
                 at = ", ".join(f"{value:g}" for value in pixel)
-                raise ValueError(f"pixel {at} is outside of the photo, {size[0]}x{size[1]}")
+                raise ValueError(
+                    f"pixel {at} is outside of the photo, which has {size[0]}x{size[1]} pixels"
+                )
         except ValueError as error:
             wrong = problems_of(error, key)
             problems += [replace(each, file=str(path), line=line) for each in wrong]
@@ -263,12 +266,12 @@ def calibrate(
     """Computes the pose of a camera.
 
     Args:
-        camera: camera with its known lens parameters; its pose is ignored.
-        find_focal: whether to compute its focal length, too, equal for x and y.
+        camera: camera with the known lens parameters. Its pose is ignored.
+        find_focal: whether to compute the focal length, too, which is then equal for x and y.
 
     Raises:
-        UsageError: there are too few points, they are collinear, or coplanar with two possible
-            cameras, or no camera fits.
+        UsageError: there are too few points, the points are collinear, they are coplanar and two
+            cameras fit, or no camera fits.
     """
     required = _MIN_WITH_FOCAL if find_focal else _MIN_POINTS
     if len(points) < required:
@@ -278,7 +281,7 @@ def calibrate(
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < _FLATNESS * spread[0]:
         raise UsageError(
-            "the points are on one line, about which the camera could rotate; add points beside it"
+            "the points are on one line, about which the camera could rotate; add others"
         )
     is_flat = bool(spread[2] < _FLATNESS * spread[0])
     if is_flat and find_focal:
@@ -366,7 +369,7 @@ class _Solver:
     @staticmethod
     def _pose(camera: PhotoCamera, points: Array, pixels: Array) -> PhotoCamera:
         cv2 = opencv()
-        # Pixels without distortion.
+        # Pixels after removing the distortion.
         K = camera.matrix
         plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
         diagonal = np.diag([K[0, 0], K[1, 1], 1.0])

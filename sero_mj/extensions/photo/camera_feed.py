@@ -1,6 +1,6 @@
-"""`CameraFeed`: images of a live camera; `VideoFeed`: images of a video at the displayed time.
+"""Images of a live camera (`CameraFeed`), or of a video at the displayed time (`VideoFeed`).
 
-Both read on separate threads.
+Both feeds read images on a separate thread.
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from .camera_file import read_camera
 from .footage import Pixels, Video
 from .photo_camera import PhotoCamera, opencv
 
-_FIRST_TIMEOUT = 10.0  # s, for the first image of a camera
-_RETRY_INTERVAL = 1.0  # s, until a lost camera is reopened
-_LOST_AFTER = 0.7  # s without an image
+_FIRST_TIMEOUT = 10.0  # maximum time until the first image of a camera, s
+_RETRY_INTERVAL = 1.0  # time between attempts to reopen a lost camera, s
+_LOST_AFTER = 0.7  # time without an image after which a camera is lost, s
 _TIME_TOLERANCE = 1e-4  # s
-_MAX_SEQUENTIAL = 2.0  # s; later frames are sought instead of read sequentially
+_MAX_SEQUENTIAL = 2.0  # s; frames further ahead are reached by seeking
 _RATE_WEIGHT = 0.1  # weight of the last interval in the mean
 
 
 class CameraFeed:
-    """Reads a camera until it is closed; a context manager.
+    """Reads images of a camera until the feed is closed, as a context manager.
 
-    If the connection is lost, `piece` reports it, the last image remains, and the camera is
+    If the connection is lost, `piece` reports this, the last image stays visible, and the camera is
     reopened.
 
     Args:
-        what: the number of a camera, such as `0`; a video file, which is repeated at its rate;
-            or an address for OpenCV, such as `rtsp://...` or `/dev/video0`.
-        camera_file: camera file, see `camera_file`.
+        what: number of a camera, such as `0`; video file, which is played repeatedly at its frame
+            rate; or address for OpenCV, such as `rtsp://...` or `/dev/video0`.
+        camera_file: camera file, see the module `camera_file`.
 
     Raises:
         RenderError: the camera sends no image.
-        DeclarationError: the camera file is invalid, or for images of another size.
+        DeclarationError: the camera file is invalid, or is for images of another size.
     """
 
     def __init__(self, what: str, camera_file: Path) -> None:
@@ -77,9 +77,9 @@ class CameraFeed:
             raise
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number of the newest image, from 1, and its pixels (height, width, 3)."""
+        """Returns the newest image's number, starting at 1, and its pixels (height, width, 3)."""
         with self._changed:
-            assert self._pixels is not None  # there is one since it is opened
+            assert self._pixels is not None  # the constructor waits for the first image
             return self._number, self._pixels
 
     @property
@@ -169,16 +169,16 @@ class CameraFeed:
 
 
 class VideoFeed:
-    """Reads a video at the displayed time, forward and backward; a context manager.
+    """Reads a video at the displayed time, forward and backward, as a context manager.
 
-    Frames are decoded on a separate thread. While it seeks, the last frame remains.
+    Frames are decoded on a separate thread. While it seeks, the last frame stays visible.
 
     Attributes:
-        camera: camera of its file.
+        camera: camera declared by the camera file.
 
     Raises:
         RenderError: the video cannot be read.
-        DeclarationError: the camera file is invalid, or for images of another size.
+        DeclarationError: the camera file is invalid, or is for images of another size.
     """
 
     def __init__(self, path: Path, camera_file: Path, offset: float) -> None:
@@ -270,7 +270,7 @@ class VideoFeed:
             self._changed.notify_all()
 
     def _wait_for_next(self, at: float, end: float) -> bool:
-        # Returns whether to continue with the next frames after the frame shown from `at` to `end`.
+        # Returns whether to read on after the frame that is displayed from `at` to `end`.
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end

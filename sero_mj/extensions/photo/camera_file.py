@@ -2,13 +2,13 @@
 
 - YAML of OpenCV's `FileStorage` and its calibration sample: `camera_matrix`,
   `distortion_coefficients`, `image_width`, `image_height`; `fisheye_model: 1`.
-- YAML of ROS: the same with `rows`, `cols` and `data`, and `distortion_model`; messages
-  `camera_info` (`K`, `D`, `width`, `height`) as well.
+- YAML of ROS: the same keys, matrices with `rows`, `cols` and `data`, and `distortion_model`.
+  Messages `camera_info` (`K`, `D`, `width`, `height`) are also supported.
 - TOML: the same keys with lists, or `intrinsics = "camera.yaml"` for a YAML file.
 
-Each file may have `frame`, T_world_camera as in scenes: 4 x 4 numbers, or a table of `xyz` (m) and
-`quat` (w, x, y, z), `rpy` or `rpy_deg`. The camera's x axis points to the right of the image, y
-down, z forward, as in OpenCV and in the optical frames of ROS.
+Each file can declare T_world_camera as `frame`, in the same form as in scenes: 4 x 4 numbers, or a
+table of `xyz` (m) and `quat` (w, x, y, z), `rpy` or `rpy_deg`. The camera's x axis points to the
+right of the image, y points down and z forward, as in OpenCV and in the optical frames of ROS.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ log = logging.getLogger(__name__)
 ENDINGS = (".yaml", ".yml", ".toml")
 _MAX_BYTES = 1_000_000
 _MAX_SIDE = 16384  # pixels
-_MIN_DRAWABLE = 0.75  # fraction of the image
-# Names of keys in all formats, in lower case.
+_MIN_DRAWABLE = 0.75  # minimum fraction of the image in which the coefficients are valid
+# Lowercase names of the keys in all formats.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
     "distortion_coefficients": ("distortion_coefficients", "d"),
@@ -63,11 +63,12 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
     """Reads a camera with its pose in the world.
 
     Args:
-        size: width and height of its images, pixels; None for those of the file.
+        size: width and height of the camera's images, pixels (default: those of the file).
 
     Raises:
-        DeclarationError: all errors of the file, also if it is for images of another size.
-        UsageError: a package needed to read it is not installed.
+        DeclarationError: the file is invalid, or is for images of another size. The exception lists
+            all errors.
+        UsageError: a package needed to read the file is not installed.
     """
     problems: list[Problem] = []
     table = _table(path)
@@ -79,7 +80,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
 
 
 def read_intrinsics(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera whose file may lack the pose; see `read_camera`."""
+    """Reads a camera file that may lack the pose, see `read_camera`."""
     problems: list[Problem] = []
     camera = _camera(path, _table(path), size, problems)
     if problems or camera is None:
@@ -94,13 +95,13 @@ def _checked(path: Path, camera: PhotoCamera, place: Array) -> PhotoCamera:
     share = made.drawable
     if share < _MIN_DRAWABLE:
         message = (
-            f"are not valid in {100 * (1 - share):.0f} % of the image, towards its edges; expected "
+            f"are invalid in {100 * (1 - share):.0f} % of the image, at the edges; expected "
             "a calibration with points up to the edges, in OpenCV's order k1, k2, p1, p2, k3"
         )
         raise Problem("distortion_coefficients", message, str(path)).error()
     if share < 1.0:
         log.warning(
-            "%s: the coefficients are not valid in %.1f %% of the image, at its edges; nothing is "
+            "%s: the coefficients are invalid in %.1f %% of the image, at the edges; nothing is "
             "drawn there", path, 100 * (1 - share),
         )  # fmt: skip
     return made
@@ -111,7 +112,7 @@ def _table(path: Path) -> dict[str, Any]:
         return Problem(key, message, str(path), line).error()
 
     if path.suffix.lower() not in ENDINGS:
-        raise wrong(f"expected a camera file that ends in {', '.join(ENDINGS)}")
+        raise wrong(f"expected a camera file with a name that ends in {', '.join(ENDINGS)}")
     if path.suffix.lower() == ".toml":
         found = read_toml(path)
         known = [key for names in _KEYS.values() for key in names]
@@ -200,8 +201,8 @@ def _camera(
             sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:
         message = (
-            f"found {sides[0]}x{sides[1]}, but the image is {size[0]}x{size[1]}: expected a camera "
-            "file for images of that size (cropped or resized images have other intrinsics)"
+            f"found {sides[0]}x{sides[1]}, but the image is {size[0]}x{size[1]}; expected a camera "
+            "file for images of this size (cropped or resized images have other intrinsics)"
         )
         problems.append(Problem("image_width", message))
     if matrix is None or model is None or len(sides) < 2 or problems:
@@ -305,7 +306,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
 
 
 def write_camera(path: Path, camera: PhotoCamera, note: str = "") -> None:
-    """Writes a camera file: TOML, or YAML in the layout of ROS with our `frame`."""
+    """Writes a camera file as TOML, or as YAML in the layout of ROS with the additional `frame`."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
     text = "".join(f"# {line}\n" for line in note.splitlines())

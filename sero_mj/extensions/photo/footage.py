@@ -1,4 +1,4 @@
-"""Photos and videos of real robots, read from files."""
+"""Reads photos and videos of real robots from files."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _FPS = 30.0  # if a video does not state it
 
 
 def is_photo(path: Path) -> bool:
-    """Whether a file name is that of a photo rather than a video."""
+    """Returns whether a file name has the extension of a photo, and not of a video."""
     return path.suffix.lower() in PHOTOS
 
 
@@ -42,18 +42,20 @@ def read_photo(path: Path) -> Pixels:
     except FileNotFoundError:
         raise RenderError(f"{path}: no such file") from None
     except UnidentifiedImageError:
-        raise RenderError(f"{path}: is not a readable photo ({', '.join(PHOTOS)})") from None
+        raise RenderError(
+            f"{path}: is not a readable photo; expected {', '.join(PHOTOS)}"
+        ) from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise RenderError(f"{path}: cannot be read: {reason_of(error)}") from error
 
 
 class Video:
-    """A video file; a context manager.
+    """Reads a video file, as a context manager.
 
     Attributes:
-        size: width and height of its upright frames, pixels.
-        fps: average frames per second.
-        duration: s; 0 if the file does not state it.
+        size: width and height of the upright frames, pixels.
+        fps: average number of frames per second.
+        duration: duration in seconds; 0 if the file does not state it.
 
     Raises:
         RenderError: the video cannot be read.
@@ -86,10 +88,10 @@ class Video:
         self.size = (first.shape[1], first.shape[0])
 
     def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
-        """Yields frames: times since the first frame, s, and pixels.
+        """Yields the frames, as time since the first frame, s, and pixels.
 
-        Damaged data ends the iteration, unless there was no frame before it. Frames before `begin`,
-        s, may be skipped.
+        Damaged data ends the iteration, unless there was no frame before it. Frames before the time
+        `begin`, s, may be skipped.
 
         Raises:
             RenderError: no frame can be read.
@@ -125,10 +127,10 @@ class Video:
 
 
 def read_frame(path: Path, time: float) -> Pixels:
-    """Reads the frame of a video at a time, in seconds since the first frame.
+    """Reads the frame of a video at a time in seconds since the first frame.
 
     Raises:
-        RenderError: the video cannot be read, or has no such frame.
+        RenderError: the video cannot be read, or has no frame at this time.
     """
     with Video(path) as video:
         found, last = None, 0.0
@@ -143,7 +145,7 @@ def read_frame(path: Path, time: float) -> Pixels:
 
 
 def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
-    """Yields frames at a constant rate, each with its own time; the rate of phones varies."""
+    """Yields frames and their times at a constant rate, because the frame rate of phones varies."""
     shown = 0
     last: tuple[float, Pixels] | None = None
     for frame in video.frames():
@@ -161,7 +163,7 @@ def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[
 
 
 def upright(frame: av.VideoFrame) -> Pixels:
-    """Returns the pixels of a frame, rotated as stored by phones."""
+    """Returns the pixels of a frame, rotated as its metadata requires (videos of phones)."""
     pixels = frame.to_ndarray(format="rgb24")
     turns = round(getattr(frame, "rotation", 0) / 90) % 4
     return np.ascontiguousarray(np.rot90(pixels, turns))

@@ -1,4 +1,4 @@
-"""Images and videos of decor over photos and videos of the real robot."""
+"""Renders images and videos with decor over photos and videos of the real robot."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ log = logging.getLogger(__name__)
 
 
 class PhotoRenderer(Painter):
-    """Renders the decor of a world over photos of one camera; a context manager.
+    """Renders the decor of a world over photos of one camera, as a context manager.
 
     Attributes:
         renderer: name of the renderer.
@@ -74,7 +74,7 @@ class PhotoRenderer(Painter):
         self.decor = SceneDecor(world, with_text=False)
 
     def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
-        """Returns a photo (height, width, 3), uint8, with decor; None for the default photo."""
+        """Returns a photo (height, width, 3), uint8, with decor, by default of `self.photo`."""
         photo = self.photo if photo is None else photo
         scene = self._renderer.scene
         self.decor.draw(data, self._look(data), scene)
@@ -101,10 +101,10 @@ def render_image_over(
     """Renders the current state of a scene over a photo, or over a frame of a video.
 
     Args:
-        over: photo, or video whose frame at that time is used.
-        at: time of recordings and simulations, s after their start; None for the start, or for
-            the first frame of a video.
-        offset: time of recordings and simulations at the first frame of a video.
+        over: photo, or video whose frame at the same time is used.
+        at: time since the start of recordings and simulations, s (default: the start, or the time
+            of the first frame of a video).
+        offset: time of recordings and simulations at the first frame of a video, s.
 
     Returns:
         names of the sources without data; their robots have the declared pose.
@@ -140,13 +140,13 @@ def render_video_over(
 ) -> list[str]:
     """Renders a recording or a simulation over a video, frame by frame.
 
-    Frames before its start and after its end are not changed.
+    Frames before the start and after the end of the recording are not changed.
 
     Args:
         offset: time of the recording at the first frame of the video, s; see
             `video_offset.find_offset`.
-        duration: duration of the rendered video, s; None for that of the original.
-        on_progress: called with the number of rendered frames and of all frames.
+        duration: duration of the rendered video, s (default: the duration of the original video).
+        on_progress: called with the number of rendered frames and the total number of frames.
 
     Returns:
         names of the sources without data.
@@ -192,7 +192,7 @@ def render_video_over(
 
 
 def refuse_live(mirror: Mirror, video: Path) -> None:
-    """Raises UsageError if a mirror has live sources."""
+    """Raises UsageError if the mirror has live sources, which cannot be combined with a video."""
     if mirror.is_live:
         raise UsageError(
             f"{video}: live sources cannot be combined with a video; use a recording, --replay "
@@ -201,7 +201,7 @@ def refuse_live(mirror: Mirror, video: Path) -> None:
 
 
 def recorded_span(mirror: Mirror) -> tuple[float, float]:
-    """Returns the start and end of the recordings or simulations of a mirror, s."""
+    """Returns the start and end time of a mirror's recordings or simulations, s."""
     if not mirror.sources:
         return float("-inf"), float("inf")
     ends = [source.end for source in mirror.sources.values()]

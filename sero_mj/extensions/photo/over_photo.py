@@ -1,8 +1,8 @@
 """`PhotoPainter`: decor over a photo of the real robot, occluded by its invisible model.
 
-The scene is rendered twice, with the robot and the background first black, then white. The first
-image contains the colors of the decor, and the difference of both its transparency. This is exact
-for smooth edges and transparent decor, in every OpenGL implementation.
+The scene is rendered twice, with a black and with a white robot and background. The first image
+contains the colors of the decor. The difference between both images determines the transparency of
+the decor. This is exact for smooth edges and transparent decor in every OpenGL implementation.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ class PhotoPainter:
     """Draws decor over photos of one camera.
 
     Args:
-        largest: maximum width and height that can be rendered, pixels.
+        largest: maximum width and height of the rendered image, pixels.
 
     Attributes:
-        size: width and height to render, pixels.
+        size: width and height of the rendered image, pixels.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class PhotoPainter:
             scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == _GEOM and geom.objid >= 0 and self._is_floor[geom.objid]:
-                # MuJoCo draws planes as infinite; a point behind the camera is invisible.
+                # A tiny sphere behind the camera is invisible, unlike a plane, which is infinite.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
                 geom.pos = scene.camera[0].pos - scene.camera[0].forward
         near = float(scene.camera[0].frustum_near)
@@ -72,8 +72,8 @@ class PhotoPainter:
         """Returns a photo with the decor of a scene.
 
         Args:
-            photo: (height, width, 3), of the camera's size.
-            draw: renders the scene in `size`, top row first.
+            photo: pixels, shape (height, width, 3), in the camera's image size.
+            draw: function that renders the scene in `size`, top row first.
         """
         masked = self._masked(scene)
         for geom in masked:

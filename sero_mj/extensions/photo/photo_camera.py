@@ -1,8 +1,8 @@
-"""`PhotoCamera`: a real camera with its lens, and the rendering of its images in OpenGL.
+"""`PhotoCamera`: a real camera with a lens, and the rendering of its images in OpenGL.
 
-Its frame is that of OpenCV: x to the right of the image, y down, z forward. Pixels in this file are
-those of OpenCV, too: u to the right, v down, (0, 0) at the center of the upper left pixel.
-`PhotoView` is the same camera for decor, with pixels from the lower left corner.
+The camera frame follows OpenCV: x to the right of the image, y down, z forward. Pixels in this file
+also follow OpenCV: u to the right, v down, (0, 0) at the center of the upper left pixel.
+`PhotoView` is the same camera for decor, with pixels counted from the lower left corner.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ COUNTS: dict[str, tuple[int, ...]] = {
     "equidistant": (4,),
 }
 Size = tuple[int, int]
-_MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # maximum angle of plane images from the axis
-_OVERSAMPLING = 1.25  # resolution of the undistorted image in units of that of the photo
-_MAX_PIXELS = 12e6  # of the undistorted image
+_MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # of the maximum angle of rays from the axis
+_OVERSAMPLING = 1.25  # ratio of the undistorted image's resolution to the photo's
+_MAX_PIXELS = 12e6  # maximum number of pixels of the undistorted image
 _LOOKUP_COLUMNS = 320  # samples per row; pixels in between are interpolated
 _OUTSIDE = -10.0  # coordinate outside of the image
 _ROUND_TRIP_TOLERANCE = 0.1  # pixels
@@ -56,10 +56,10 @@ class PhotoCamera:
     """A calibrated camera.
 
     Attributes:
-        matrix: OpenCV's camera matrix (3, 3): fx, fy, cx and cy, pixels.
-        T_world_camera: pose, (4, 4), m; x to the right, y down, z forward.
-        distortion: coefficients in OpenCV's order; empty for a lens without distortion.
-        model: model of the coefficients; `equidistant` is OpenCV's fisheye.
+        matrix: OpenCV's camera matrix with fx, fy, cx and cy, shape (3, 3), pixels.
+        T_world_camera: pose of the camera, shape (4, 4), m; x to the right, y down, z forward.
+        distortion: distortion coefficients in OpenCV's order; empty for a lens without distortion.
+        model: distortion model of the coefficients; `equidistant` is OpenCV's fisheye model.
     """
 
     width: int
@@ -74,7 +74,7 @@ class PhotoCamera:
         return bool(self.distortion.any()) or self.model == "equidistant"
 
     def resized(self, width: int, height: int) -> PhotoCamera:
-        """Returns the camera for the same images in another size."""
+        """Returns the camera for the same images, resized to another size."""
         by = np.array([width / self.width, height / self.height])
         matrix = self.matrix.copy()
         matrix[[0, 1], [0, 1]] *= by
@@ -86,8 +86,8 @@ class PhotoCamera:
         """Projects world points.
 
         Returns:
-            pixels (..., 2), and depth along z (...), m. Pixels of points behind the camera or
-            far outside of the image are approximate.
+            pixels, shape (..., 2), and depth along z, shape (...), m. Pixels of points behind the
+            camera or far outside of the image are approximate.
         """
         T = self.T_world_camera
         in_camera = (points - T[:3, 3]) @ T[:3, :3]
@@ -109,10 +109,10 @@ class PhotoCamera:
         return np.asarray(self.matrix[:2, 2] + (pixels - self.matrix[:2, 2]) * beyond)
 
     def undistort(self, pixels: Array) -> Array:
-        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2); NaN if there is none.
+        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2), with NaN for pixels without a ray.
 
-        Pixels towards the edges may have no ray, because distortion polynomials are not monotone
-        outside of the calibrated area.
+        Pixels at the edges may have no ray, because distortion polynomials are not monotone outside
+        of the calibrated area.
         """
         if not self.is_distorted:
             K = self.matrix
@@ -183,7 +183,7 @@ class PhotoCamera:
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Minimum and maximum x/z and y/z (2,) of the rays in a plane image."""
+        """Minimum and maximum (x/z, y/z) of the rays in a planar image, shape (2,) each."""
         rays = self._some_rays.reshape(-1, 2)
         rays = rays[np.isfinite(rays).all(axis=1)]
         norm = np.linalg.norm(rays, axis=1, keepdims=True)
@@ -195,8 +195,8 @@ class PhotoCamera:
 def _limits_of(
     width: int, height: int, matrix: bytes, distortion: bytes, model: DistortionModel
 ) -> tuple[float, float]:
-    # The radius from which pixels move back towards the center, and the largest radius in the
-    # image, both at z = 1.
+    # Returns the radius from which pixels move back towards the center, and the largest radius in
+    # the image, both at z = 1.
     K, coefficients = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     lens = PhotoCamera(width, height, K, np.eye(4), coefficients, model)
     radii = np.linspace(0.0, _MAX_RADIUS, 4001)
@@ -226,7 +226,7 @@ class PhotoView(ImageView):
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Returns the view of a camera."""
+        """Returns the view of a photo camera."""
         T = camera.T_world_camera
         return cls(
             position=T[:3, 3],
@@ -267,8 +267,8 @@ class PlaneImage:
     resolution that covers the photo is rendered and then sampled.
 
     Args:
-        largest: maximum width and height that can be rendered, pixels.
-        scale: rendered pixels per pixel of the photo, along a side.
+        largest: maximum width and height of the rendered image, pixels.
+        scale: number of rendered pixels per pixel of the photo, along each side.
 
     Attributes:
         size: width and height of the rendered image, pixels.
@@ -332,9 +332,9 @@ class PlaneImage:
             camera.orthographic = 0
 
     def to_photo(self, drawn: NDArray[np.uint8], outside: int) -> NDArray[np.uint8]:
-        """Returns the photo's pixels of a rendered image.
+        """Returns a rendered image, resampled to the photo's pixels.
 
-        Pixels that it does not contain have the value `outside`.
+        Pixels that the rendered image does not contain have the value `outside`.
         """
         if self._maps is None:
             return (

@@ -37,7 +37,7 @@ class PhotoViewport(Viewport):
 
     @property
     def fixed(self) -> str:
-        return f"the view is that of {self._feed.name}"
+        return f"the view is fixed to {self._feed.name}"
 
     @property
     def pieces(self) -> list[Piece]:

@@ -1,7 +1,7 @@
-"""`PointBoard`: a photo on which points of the robot are clicked, with the calibration result.
+"""`PointBoard`: a photo in which the user clicks points of the robot, with the calibration result.
 
-It is independent of windows: it handles clicks and keys, and renders its image. Pixels in this file
-are counted from the upper left corner of the board, x to the right, y down.
+The board does not depend on a window. It handles clicks and keys, and renders its image. Pixels in
+this file are counted from the upper left corner of the board, x to the right, y down.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ _CHOSEN: Rgb = (1.0, 0.72, 0.30)
 _GOOD: Rgb = (0.55, 0.85, 0.62)
 _BAD: Rgb = (1.0, 0.52, 0.40)
 _ORANGE, _GREEN, _RED = (255, 160, 40), (70, 230, 120), (255, 70, 60)
-_WIDTH = 17.0  # of the list, line heights
+_WIDTH = 17.0  # width of the list, line heights
 _LINE = 1.25  # distance of lines, line heights
 _STEP = 1.25  # zoom factor for a step of the wheel
 _MAX_ZOOM = 40.0
-_MIN_ROWS = 5  # of the list
+_MIN_ROWS = 5  # minimum number of rows of the list
 _GOOD_CLICK = 5.0  # maximum error, pixels
 _MARK = 9  # half of a cross, pixels
-_KEYS = ("click: set its pixel in the photo", "wheel: zoom, drag: move", "up, down: select point",
-         "backspace: delete its pixel", "enter: finish, escape: cancel")  # fmt: skip
+_KEYS = ("click: set pixel of the point", "wheel: zoom, drag: move", "up, down: select point",
+         "backspace: delete pixel", "enter: finish, escape: cancel")  # fmt: skip
 
 
 @dataclass
@@ -49,14 +49,14 @@ class PointBoard:
     """A list of points beside a photo.
 
     Args:
-        points: positions in the world, (k, 3), m.
-        clicked: known pixels (2,) of points, by index.
+        points: world positions of the points, shape (k, 3), m.
+        clicked: mapping from indices of points to known pixels, shape (2,).
 
     Attributes:
-        chosen: index of the point for the next click.
-        clicked: pixels by point.
-        found: the camera, once there are enough points.
-        message: the error, or the quality of the fit.
+        chosen: index of the point that the next click sets.
+        clicked: mapping from indices of points to pixels.
+        found: result of the calibration, or None if there are too few points.
+        message: error message, or the quality of the fit.
     """
 
     def __init__(
@@ -193,7 +193,7 @@ class PointBoard:
         return shown[row] if 0 <= row < len(shown) else None
 
     def sketch(self) -> tuple[int, int, int, int]:
-        """Area for a sketch of the robot: left, top, width and height, pixels."""
+        """Left, top, width and height of the area for a sketch of the robot, pixels."""
         top = self._first() + (len(self._shown()) + 0.5) * self._row_height()
         bottom = self._size[1] - (len(_KEYS) + 3.6) * self._row_height()
         return 0, round(top), self.panel_width, max(round(bottom - top), 1)

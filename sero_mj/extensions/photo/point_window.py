@@ -15,16 +15,16 @@ from .point_board import PointBoard
 _MORE = 100  # additional capacity for geoms that do not belong to the model
 _DOT = 0.03  # radius of the selected point in the sketch, fraction of the model's extent
 _DOT_RGBA = np.array([1.0, 0.55, 0.1, 1.0], np.float32)
-_PAUSE = 0.03  # s between queries of events
+_PAUSE = 0.03  # time between queries of events, s
 
 
 class PointWindow:
-    """Shows a board until the user finishes; a context manager.
+    """Shows a board until the user finishes, as a context manager.
 
     Args:
         data: state of the world in the photo.
-        points: points of the board in the world, (k, 3), m.
-        size: in screen coordinates.
+        points: world positions of the board's points, shape (k, 3), m.
+        size: width and height of the window in screen coordinates.
 
     Attributes:
         is_done: whether the user accepted the result.
@@ -53,7 +53,7 @@ class PointWindow:
         self._drawn: tuple[int, int] | None = None  # size of the current image; None if outdated
 
     def frame(self) -> bool:
-        """Handles events, and redraws if needed; returns whether the window is still open."""
+        """Handles events, redraws if needed, and returns whether the window is still open."""
         for event in self.gl.events():
             self._take(event)
         width, height = self.gl.size

@@ -1,9 +1,10 @@
-"""Estimates the time in a recording at which a video of the robot starts, by the motion in both.
+"""Estimates the time of a recording at which a video of the robot starts, from their motion.
 
 Pixels of the video change if the robot's outline passes over them between two frames. The swept
 area is computed from the recording with the known camera, at the video's rate, on a coarse grid of
-cells. The changes of the video are computed on the same grid. Both are correlated over time, cell
-by cell, for all offsets at once, which distinguishes similar motions at different places.
+cells. The changes of the video are computed on the same grid. Swept area and changes are correlated
+over time for each cell, for all offsets at once. This distinguishes similar motions at different
+places.
 """
 
 from __future__ import annotations
@@ -25,16 +26,16 @@ from .footage import Video, at_rate
 from .over import refuse_live
 from .photo_camera import PhotoCamera, opencv
 
-_WIDTH = 192  # pixels, of outlines
-_CELL = 6  # pixels
-_POINTS = 80  # of a mesh's outline
+_WIDTH = 192  # width of images of outlines, pixels
+_CELL = 6  # side of a cell, pixels
+_POINTS = 80  # number of points of a mesh's outline
 _NOISE, _FULL_CHANGE = 4.0, 40.0  # gray levels of noise, and of a full change
 _MIN_OVERLAP = 1.5  # s
-_PEAK_DISTANCE = 0.4  # s; minimum separation of distinct peaks
+_PEAK_DISTANCE = 0.4  # minimum distance of separate peaks, s
 _MIN_CORRELATION = 0.15
 _KEY = "--offset auto"  # key of errors
 _PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other
-_MAX_DURATION = 3600.0  # s of a recording that are searched
+_MAX_DURATION = 3600.0  # maximum duration of a recording, s
 _HIDDEN_GROUP = 3  # the first hidden group of geoms
 _CHUNK = 64  # cells per Fourier transform
 
@@ -43,12 +44,12 @@ Cells = NDArray[np.float32]
 
 @dataclass(frozen=True)
 class FoundOffset:
-    """The start of a video in a recording.
+    """The offset of a video in a recording.
 
     Attributes:
         offset: time of the recording at the video's first frame, s.
-        correlation: correlation of the motion in video and recording, up to 1.
-        other: highest correlation at another offset.
+        correlation: correlation of the motion in video and recording at this offset, up to 1.
+        other: highest correlation at any other offset.
     """
 
     offset: float
@@ -66,8 +67,8 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
     """Finds the start of a video of the robot.
 
     Raises:
-        UsageError: one of them has no motion, they do not match, or they match at several
-            offsets.
+        UsageError: the video or the recording has no motion, they do not match, or they match at
+            several offsets.
         SeroError: the scene, its sources or the video is invalid.
     """
     mirror = Mirror(scene)
@@ -122,7 +123,7 @@ def _changed(video: Video, camera: PhotoCamera, fps: float) -> Cells:
             found.append(_cells(change * (255.0 / _FULL_CHANGE)))
         last = now
     if not found:
-        raise UsageError(f"{video.path}: has only one frame, but --offset auto needs motion")
+        raise UsageError(f"{video.path}: found only one frame, but --offset auto needs motion")
     return np.stack(found)
 
 
@@ -180,11 +181,11 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     """Returns the offset that maximizes the correlation of changed and swept cells.
 
     Args:
-        swept: cells of the recording, (T, cells), from frame to frame.
-        changed: cells of the video, (T', cells), from frame to frame.
+        swept: swept cells of the recording between successive frames, shape (T, cells).
+        changed: changed cells of the video between successive frames, shape (T', cells).
 
     Raises:
-        UsageError: no offset is clearly the best.
+        UsageError: no offset clearly has the highest correlation.
     """
     for what, cells in (("recording", swept), ("video", changed)):
         if float(np.abs(cells - cells.mean(axis=0)).sum(axis=1).max(initial=0.0)) < 0.02:
@@ -225,12 +226,14 @@ def correlate(swept: Cells, changed: Cells, min_overlap: int) -> tuple[NDArray[n
     """Returns the correlation at every offset with sufficient overlap.
 
     Args:
-        swept: (T, cells).
-        changed: (T', cells).
-        min_overlap: minimum overlap, frames; also at least half of the shorter one.
+        swept: swept cells of the recording, shape (T, cells).
+        changed: changed cells of the video, shape (T', cells).
+        min_overlap: minimum overlap, frames. The overlap is also at least half of the shorter of
+            `swept` and `changed`.
 
     Returns:
-        offsets in frames, row of `swept` of the first row of `changed`, and correlations.
+        offsets and correlations. An offset is the row of `swept` that corresponds to the first row
+        of `changed`.
     """
     long, short = len(swept), len(changed)
     size = 1 << int(np.ceil(np.log2(long + short)))

@@ -1,6 +1,6 @@
-"""`Bag`: recordings of ROS, which are rosbag2 (MCAP, SQLite) and ROS 1 bags.
+"""`Bag`: ROS recordings in the formats rosbag2 (MCAP or SQLite) and ROS 1 bag.
 
-The messages of several topics are joined to the packets of one source, as when they are received.
+Messages of several topics are joined to packets of one source, in the same way as live messages.
 """
 
 from __future__ import annotations
@@ -34,22 +34,22 @@ from .repaired_bags import RepairedMcap, log_of, with_log
 from .ros_source import MAX_REJECTED_BYTES, TYPES, RosSource, is_tf
 
 _ENDINGS = (".bag", ".active", ".db3")  # a bag of ROS 1 is named .bag.active until it is closed
-_METADATA = "metadata.yaml"  # in the folder of a rosbag2
+_METADATA = "metadata.yaml"  # file in the folder of a rosbag2
 _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
 _SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
 _ROS1 = b"#ROSBAG V2.0"
-_LOOKBACK = 0.5  # s before a time in which the values at that time are searched
-_DEVICE_PERIOD = 2.0  # s in which every device should have published
-_LOOKBACK_FACTOR = 8.0  # by which the search is extended until something is found
+_LOOKBACK = 0.5  # s; interval before a time that is searched for the values at that time
+_DEVICE_PERIOD = 2.0  # s; every device should publish within this time
+_LOOKBACK_FACTOR = 8.0  # factor by which the interval grows until values are found
 _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 _NEXT = 1e-9  # s, the resolution of times
 _MAX_LISTED = 10  # topics in an error message
 _MAX_JOINTS = 3  # joints of a topic in an error message
-_FIRST_TRANSFORMS = 200  # messages in which all publishers should have sent a transform
+_FIRST_TRANSFORMS = 200  # messages; all publishers should have sent a transform by then
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a file or folder is a recording of ROS, by its name (MCAP files may be one, too)."""
+    """Whether the name of a file or folder is that of a ROS recording. MCAP files are excluded."""
     return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
 
 
@@ -58,7 +58,7 @@ def open_bag(
     topics: Mapping[str, Source] | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> PacketFile | None:
-    """Opens a recording of ROS; see `data.record.formats.open_recording`."""
+    """Opens a ROS recording, or returns None; see `data.record.formats.open_recording`."""
     chosen = {name: each for name, each in (topics or {}).items() if isinstance(each, RosSource)}
     if path.is_dir() and not is_bag(path):
         files = bag_files_in(path)
@@ -78,8 +78,8 @@ def _why_no_bag(folder: Path) -> str:
         return f"is a folder without {_METADATA} and without recordings ({_FILES})"
     names = ", ".join(each.name for each in found[:_MAX_LISTED])
     return (
-        f"is a folder without {_METADATA}, and its files do not belong together. Open one of them: "
-        f"{names}"
+        f"is a folder without {_METADATA}, and its files are not parts of one recording. Open one "
+        f"of them: {names}"
     )
 
 
@@ -87,7 +87,7 @@ def _reader_of_ros(path: Path) -> Any:
     try:
         from rosbags.highlevel import AnyReader
     except ImportError as error:
-        reason = f"is a recording of ROS, which requires rosbags ({error}): "
+        reason = f"is a ROS recording, which requires rosbags ({error}): "
         raise RecordingError(path, f"{reason}pip install 'sero-mj[ros2]'") from error
     return AnyReader
 
@@ -113,7 +113,7 @@ def _why_unreadable(path: Path, error: Exception) -> str:
         if file.suffix.lower() == ".db3" and begin.startswith(_SQLITE):
             page, pages = int.from_bytes(begin[16:18]), int.from_bytes(begin[28:32])
             whole = (page if page > 1 else 1 << 16) * pages
-            hint = ".recover of sqlite3 may restore the rest"
+            hint = "the command .recover of sqlite3 may restore the rest"
             if size < whole:
                 missing = f"{whole - size} of {whole} bytes are missing"
                 return f"is truncated ({NOT_CLOSED}): {missing}; {hint}"
@@ -129,19 +129,21 @@ def _why_unreadable(path: Path, error: Exception) -> str:
 
 
 class Bag(PacketFile):
-    """A recording of ROS. Times are in seconds since its first message of any topic.
+    """A ROS recording. Times are in seconds since the first message of any topic.
 
     Args:
-        path: the file, or the folder of a rosbag2.
-        topics: source name to the topics that make its packets; topics that the bag does not have
-            are ignored. By default, each topic of joint states is a source
-            (`/arm/joint_states` is `arm_joint_states`) of the joints in its first messages.
+        path: file, or folder of a rosbag2.
+        topics: mapping from source names to sources with the topics to read; sources without a
+            recorded topic are ignored. By default, each topic of joint states becomes a source
+            (`/arm/joint_states` becomes `arm_joint_states`) with the joints in its first messages.
 
     Raises:
-        RecordingError: it cannot be read, has no joint states, or a package is missing.
+        RecordingError: the recording cannot be read or has no joint states, or a package is
+            missing.
 
     Attributes:
-        nameless: topics whose messages name no joints. They are sources only if `topics` has them.
+        nameless: topics whose messages contain no joint names. They become sources only if
+            `topics` contains them.
     """
 
     names_joints: ClassVar[bool] = True
@@ -260,7 +262,7 @@ class Bag(PacketFile):
                 (names if is_unique else ambiguous).update(dict.fromkeys(found))
             if names:
                 end = min(end, time + _DEVICE_PERIOD)
-        # Messages that name a joint twice count only if there are no others.
+        # Messages that name a joint twice are used only if there are no other messages.
         return list(names or ambiguous)
 
     def _named_by_topic(self) -> dict[str, RosSource]:
@@ -334,8 +336,8 @@ class Bag(PacketFile):
         if not self.nameless:
             return super().why_no_source()
         return (
-            f"the messages of {', '.join(self.nameless)} do not name their joints. If the scene "
-            "(--replay, --scene) has one robot with as many joints, its joint order is used"
+            f"the messages of {', '.join(self.nameless)} do not name their joints. Choose a scene "
+            "with one robot that has the same number of joints (--replay or --scene)"
         )
 
     def about_sources(self) -> str:
@@ -359,9 +361,10 @@ class Bag(PacketFile):
         raise RecordingError(self.path, f"{topics[0]} has no message")
 
     def parent_frames(self) -> dict[str, tuple[str, bool]]:
-        """Parent frame of every frame in the first transforms, and whether it moves (`/tf`).
+        """Returns a mapping from frames in the first transforms to their parent frames.
 
-        Prefixes of frame names are removed.
+        Each parent frame is followed by whether the frame moves relative to it (`/tf`). Frame names
+        are without their prefixes.
         """
         found = {}
         for topic in ("/tf_static", "/tf"):

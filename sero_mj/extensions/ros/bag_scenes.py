@@ -70,8 +70,9 @@ def _source_of(robot: SerialRobot, joints: Mapping[str, Sequence[str]]) -> str |
     for source, names in joints.items():
         prefix = prefix_before(wanted, names)
         others = set(names).difference(prefix + name for name in wanted)
-        if len(names) - len(others) == len(wanted):  # the robot's own names count more, and no more
+        if len(names) - len(others) == len(wanted):
             best.setdefault((bool(prefix), bool(others)), []).append(source)
+    # Sources without a prefix are preferred, and among these, sources without other joints.
     found = best[min(best)] if best else []
     return found[0] if len(found) == 1 else None
 

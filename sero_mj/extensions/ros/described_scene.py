@@ -16,7 +16,7 @@ from .bag_scenes import source_routes
 from .network import SCHEME, Address, Found, find_robot, robots_with
 
 DESCRIPTION = "robot.urdf"  # an attachment: the message of the topic robot_description
-_PATIENCE = 5.0  # s to wait for a robot in a network
+_PATIENCE = 5.0  # s; maximum time to wait for a robot in a network
 _SOURCE = "ros"
 _SHOWN = 40  # characters of an invalid description in an error
 
@@ -25,11 +25,11 @@ def scene_of_network(text: str) -> Path:
     """Writes a scene of the robot in a ROS 2 network, and returns its file.
 
     Args:
-        text: address of the network, `ros2://...`, see `Address`.
+        text: address of the robot, `ros2://...`, see `Address`.
 
     Raises:
         SourceError: a package is missing, or the domain cannot be joined.
-        UsageError: there is no robot, or it is ambiguous.
+        UsageError: there is no robot, or more than one.
     """
     address = Address.parse(text)
     found = find_robot(address, _PATIENCE)

@@ -70,7 +70,7 @@ class LinkTransforms:
     def solve(self) -> Array:
         """Returns the values of the independent joints, shape (k,), rad or m.
 
-        A joint without transforms keeps its last value.
+        For a joint without transforms, this is the last value.
         """
         poses: dict[Hashable, tuple[Hashable, Array]] = {}
         known: list[int] = []

@@ -1,7 +1,8 @@
-"""Bags that were not closed, in a form that rosbags can read.
+"""Lets rosbags read bags that were not closed.
 
-`RepairedMcap` is an MCAP file whose end is missing: an index of the complete chunks follows the
-last complete record, as if it were in the file. `with_log` adds the log beside an SQLite database.
+`RepairedMcap` presents an MCAP file without its end as a complete file: after the last complete
+record, it appends an index of the complete chunks. `with_log` merges the log next to an SQLite
+database into a copy of the database.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages
 
 
 class RepairedMcap:
-    """A path for rosbags (`RPath`); raises OSError if the file cannot be read."""
+    """A path object (`RPath` of rosbags); raises OSError if the file cannot be read."""
 
     def __init__(self, path: Path) -> None:
         self._path, self.suffix, self.stem = path, ".mcap", path.stem
@@ -198,7 +199,7 @@ def _complete_part(path: Path, size: int, changed: int) -> _CompletePart:
 
 
 def log_of(file: Path) -> Path | None:
-    """Returns the log of a database with messages that the database lacks, or None."""
+    """Returns the log file that has messages missing in the database, or None."""
     for log in (file.with_name(f"{file.name}{ending}") for ending in _LOGS):
         if log.is_file() and log.stat().st_size:
             return log

@@ -32,7 +32,7 @@ ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
 SET_UP_INPUTS, PAUSE = b"IP"
 HEAD = struct.Struct(">HB")  # size and type
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # instead of the type of a variable
-MAX_BYTES = 4096  # of a message; those of a controller have up to 600
+MAX_BYTES = 4096  # of a message; messages of a controller have up to 600 bytes
 
 # Variable, its type, and its events.
 VARIABLES = (
@@ -70,21 +70,22 @@ SAFETY_MODES = {
 }  # fmt: skip
 _RUNNING, _SAFE = 7, (1, 2)
 
-_TOLERANCE = 0.25  # of a period, for a package that is early
+_TOLERANCE = 0.25  # fraction of a period by which a package may be early
 
 
 class RtdeReceiver(ConnectingSource):
     """Receives the state of a Universal Robots arm without commanding it.
 
     `torques` are the measured `actual_current_as_torque`, which controllers provide since PolyScope
-    5.23 and 10.11. With older controllers, they are the commanded torques, which is reported, and
-    `torques_are_commanded` is 1. Currents are in A. `tcp_force` and `tcp_moment` are exerted on the
-    robot at the TCP, in base directions. Missing values are NaN, a missing mode is -128.
+    5.23 and 10.11. With older controllers, `torques` are the commanded torques, a warning is
+    logged, and `torques_are_commanded` is 1. Currents are in A. `tcp_force` and `tcp_moment` are
+    exerted by the environment on the robot at the TCP, in base directions. Missing values are NaN,
+    and a missing mode is -128.
 
     Attributes:
         host: address of the controller.
         port: port of the controller.
-        frequency: rate of data packages, Hz; 0 for the maximum: 500, or 125 for a CB3.
+        frequency: rate of data packages, Hz; 0 for the maximum rate (500 Hz, or 125 Hz for a CB3).
         torque_sign: factor of measured and commanded torques, 1 or -1.
     """
 
@@ -122,7 +123,7 @@ class RtdeReceiver(ConnectingSource):
 
     def converse(self, wake: socket.socket) -> None:
         omitted = frozenset[str]()
-        while True:  # again without the variables that the controller lacks, as UR's client does
+        while True:  # repeated without the variables that the controller lacks, like UR's client
             with _Connection(self.host, self.port, wake) as connection:
                 omitted |= self._run_session(connection, omitted)
 
@@ -172,7 +173,7 @@ class RtdeReceiver(ConnectingSource):
                 continue
             missing.add(name)
             if other == NOT_FOUND:
-                if name != MEASURED:  # reported once it is known what replaces it
+                if name != MEASURED:  # the warning about MEASURED names its replacement
                     self.log_once(f"the controller has no {name}")
             elif other == IN_USE:
                 self.log_once(f"{name} is in use by another client")

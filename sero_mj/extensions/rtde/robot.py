@@ -56,20 +56,20 @@ _CLEAR, _STOP = 0, 255
 _MOVE_J, _SPEED_J, _SERVO_J, _TORQUE = 1, 9, 11, 66
 _ZERO_SENSOR, _TEACH, _END_TEACH = 8, 18, 19
 _STOPS = 15, 16, 34  # speedStop, servoStop, stopJ
-_OFFSETS = 0, 24  # of registers: the lower and the upper range
+_OFFSETS = 0, 24  # first registers of the lower and the upper range
 _SLICE = 0.02  # s between checks for interrupts and the end of the program
-_DECELERATION = 4.0  # rad/s^2, of a robot whose client is silent
+_DECELERATION = 4.0  # rad/s^2; deceleration after the client has become silent
 _NUMBER = re.compile(r"[-+]?\d[\d.e:+-]*")
 
 
 class RtdeClient(Reachable):
-    """A client of RTDE; the simulated robot listens like a Universal Robots controller.
+    """An RTDE client. The simulated robot listens like a Universal Robots controller.
 
     Attributes:
         host: address that the robot listens on; 0.0.0.0 for all addresses of this machine.
         port: port of RTDE.
-        interface: how the client commands: `ur_rtde` through the registers that this library and
-            its script exchange; `position` or `torque` through six input registers.
+        interface: command interface: `ur_rtde` for the registers that the library ur_rtde and its
+            script exchange; `position` or `torque` for six input registers.
         first_register: first register k of `position` and `torque`. input_double_register_k to k+5
             contain joint angles in rad, or torques in addition to gravity compensation in Nm.
         dashboard_port: port of the dashboard server, which `ur_rtde` connects to; 0 for none.
@@ -83,7 +83,7 @@ class RtdeClient(Reachable):
     """
 
     logged: ClassVar[tuple[str, ...]] = ("rtde_state", "command_age", "step_lateness")
-    title: ClassVar[str] = "client of RTDE"
+    title: ClassVar[str] = "RTDE client"
     order: ClassVar[int] = 77
     protocol_joints: ClassVar[int] = JOINTS
 
@@ -148,7 +148,7 @@ class RtdeRobot(Controller):
         self._target = Target(JOINTS)
         first = declared.first_register
         self._registers = [f"{INPUT_DOUBLE}{first + k}" for k in range(JOINTS)]
-        self._received_inputs: set[str] = set()  # of these, from the client that commands
+        self._received_inputs: set[str] = set()  # inputs received from the commanding client
         self.logged: Array = np.zeros(3)
         self.wrong = self.silent = 0
         self._is_new = Once()
@@ -200,7 +200,7 @@ class RtdeRobot(Controller):
     def commanded_angles(self) -> Array:
         return self._motion.angles
 
-    # ---- what the server needs
+    # ---- interface for the server
 
     @property
     def is_running(self) -> bool:
@@ -260,7 +260,7 @@ class RtdeRobot(Controller):
         state = f"{OUTPUT_INT}{offset}"
         if command == _CLEAR:
             self._state.registers[state] = READY
-            return False  # it follows each command
+            return False  # ur_rtde clears the register after each command
         if command == _STOP:
             self.stop_program()
             return True

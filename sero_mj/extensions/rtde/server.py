@@ -46,23 +46,23 @@ _MAX_UNSENT = 1 << 18  # bytes that a client may leave unread
 # Time in s from the start to the first package. If the package arrives together with the answer to
 # the start, UR's own client does not notice it before the next one, which lockstep never sends.
 _START_DELAY = 0.02
-_MAX_UNREAD_TIME = 10.0  # s in which a client may read nothing; it blocks its inputs for others
+_MAX_UNREAD_TIME = 10.0  # s without reading, after which a client is disconnected
 _WARNING = 2  # level of a text message
 _SOURCE = b"sero-mj"
 
 
 class Robot(Protocol):
-    """What a server needs of a robot."""
+    """Interface of a robot for its server."""
 
     @property
     def is_running(self) -> bool:
         """Whether the robot's program is running."""
 
     def value(self, name: str) -> Any:
-        """Returns the current value of an output: a number, or those of a vector."""
+        """Returns the current value of an output: a number, or a vector of numbers."""
 
     def take(self, peer: RtdePeer, values: dict[str, Any]) -> bool:
-        """Takes inputs and returns whether they answer the last package."""
+        """Applies inputs and returns whether they answer the last package."""
 
     def reject(self, reason: str) -> None:
         """Counts a rejected message or command, and logs each reason once."""
@@ -109,7 +109,7 @@ class Peer(ABC):
 
 
 class RtdePeer(Peer):
-    """A client of RTDE.
+    """An RTDE client.
 
     Attributes:
         inputs: input recipes; the first one has number 1.
@@ -123,7 +123,7 @@ class RtdePeer(Peer):
         self.skipped = 0
         self._outputs: Recipe | None = None
         self._every, self._begins = 1, 0.0
-        self._last_sent = 0.0  # on the clock's time
+        self._last_sent = 0.0  # time of the last package on the monotonic clock, s
         self._has_version = False
 
     def handle(self, received: bytes) -> bytes:
@@ -234,7 +234,7 @@ class RtdePeer(Peer):
 
 
 class DashboardPeer(Peer):
-    """A client of the dashboard server, which supports the requests of clients of RTDE."""
+    """A client of the dashboard server. Only requests that RTDE clients send are supported."""
 
     def greet(self) -> None:
         self.send(b"Connected: Universal Robots Dashboard Server\n")
@@ -272,7 +272,7 @@ class DashboardPeer(Peer):
 
 
 class ScriptPeer(Peer):
-    """A client that sends URScript, which is only searched for its end."""
+    """A client that sends URScript, which is not run."""
 
     def handle(self, received: bytes) -> bytes:
         if received.rstrip().endswith((b"\nend", b"\r\nend")):  # inner ones are indented
@@ -302,8 +302,8 @@ class RtdeServer:
 
         Args:
             port: port of RTDE; 0 for a free one.
-            dashboard: port of the dashboard server; 0 for none.
-            script: port of the server for URScript; 0 for none.
+            dashboard: port of the dashboard server; 0 for no dashboard server.
+            script: port of the server for URScript; 0 for no such server.
         """
         self._selector = selectors.DefaultSelector()
         for number, make in ((port, RtdePeer), (dashboard, DashboardPeer), (script, ScriptPeer)):
@@ -326,7 +326,7 @@ class RtdeServer:
         return lambda connection, name: kind(self, connection, name)
 
     def close(self) -> None:
-        """Ends all connections; does nothing if they have ended."""
+        """Ends all connections. Has no effect if the server is closed."""
         for peer in [*self._peers.values()]:
             self._drop(peer, "")
         for listening in self._makes:
@@ -360,7 +360,7 @@ class RtdeServer:
         self._do(peer, peer.send_package)
 
     def claimed_by_others(self, but: RtdePeer) -> frozenset[str]:
-        """Names of inputs that other clients have set up."""
+        """Returns the names of inputs that other clients have set up."""
         return frozenset().union(*(peer.claimed for peer in self.peers if peer is not but))
 
     def warn_once(self, text: str) -> None:

@@ -16,23 +16,24 @@ from ...simulate.external_control.commanded_motion import CommandedMotion
 from .variables import CONSTANT, OUTPUTS
 
 JOINTS = 6
-_POWER_ON, _PROGRAM_RUNNING = 1, 2  # of robot_status_bits
-_NORMAL = 1  # safety mode, and of safety_status_bits
+_POWER_ON, _PROGRAM_RUNNING = 1, 2  # bits of robot_status_bits
+_NORMAL = 1  # safety mode, and bit of safety_status_bits
 _RUNNING = 7  # robot mode
 _STOPPED, _PLAYING = 1, 2  # runtime states
-_BANDWIDTH = 25.0  # 1/s, of the observer of external torques; our choice
-_SINGULAR = 1e-2  # of the largest singular value: forces in smaller directions are not reported
+_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
+# Relative to the largest singular value. Forces in directions below it are not reported.
+_SINGULAR = 1e-2
 
 
 class RtdeState:
-    """Output values, computed on demand and cached for one cycle.
+    """Computes output values on demand, and caches them for one cycle.
 
     Poses are those of the flange in the robot base, with rotation vectors in rad; velocities and
     forces are in base directions. `actual_current_as_torque` is measured by the sensors;
     `actual_TCP_force` is the external force estimated by a momentum observer.
 
     Args:
-        model: the model of the robot, which its control has updated.
+        model: model of the robot, which the controller must update first.
         constants: torque constants, shape (n,), Nm/A; None for currents of 0.
     """
 
@@ -84,7 +85,7 @@ class RtdeState:
         }
 
     def observe(self, sensed: Sensed, commanded: Array) -> None:
-        """Called in each step with the torques commanded in the last one, shape (n,), Nm."""
+        """Called in each step with the torques commanded in the previous step, shape (n,), Nm."""
         self._observer.update(sensed)
         self._sensed = sensed
         self._commanded[:] = commanded

@@ -1,4 +1,4 @@
-"""Variables of RTDE that the simulated robot supports, and recipes that encode their values.
+"""RTDE variables that the simulated robot supports, and recipes that encode their values.
 
 Names and types are those of UR's RTDE guide, protocol version 2, for PolyScope 5.23.
 """
@@ -89,10 +89,10 @@ OUTPUTS = {
 
 
 class Recipe:
-    """Names that a client has requested, and the encoding of their values.
+    """Encodes the values of the variables that a client has requested.
 
     Attributes:
-        size: number of bytes of all values.
+        size: total size of the values in bytes.
     """
 
     def __init__(self, names: bytes, known: Mapping[str, str], in_use: frozenset[str]) -> None:
@@ -119,7 +119,7 @@ class Recipe:
         return self._struct.pack(*numbers)
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Decodes values by name; raises ValueError if a number is not finite."""
+        """Returns a mapping from names to values; raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")

@@ -26,9 +26,9 @@ if TYPE_CHECKING:
     from ...robots.declared.robot_parts import LinkGeometry
     from ...robots.declared.scene import Scene
 
-# Robot fields that are converted when a robot is created.
+# Robot fields whose values are converted when a robot is created.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
-_CREASE = 0.7  # rad; MuJoCo shades sharper edges as edges
+_CREASE = 0.7  # rad; sharper edges are not smoothed, as in MuJoCo
 _UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the cylinder axis of MuJoCo, to y
 Geom = mujoco.mjtGeom
 
@@ -39,7 +39,7 @@ def write_toml(options: ExportOptions) -> int:
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Writes a scene as X3D, and its links as VRML97 files in OUT_links/ROBOT."""
+    """Writes a scene as X3D, and the links as VRML97 files in OUT_links/ROBOT."""
     return _write(options, to_x3d=True)
 
 
@@ -96,14 +96,17 @@ def _relative(folder: Path, output: Path) -> str:
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
-        raise UsageError(f"{name}: X3D cannot express any part of it; left out: {', '.join(lost)}")
+        raise UsageError(
+            f"{name}: X3D cannot express any part of the scene; left out: {', '.join(lost)}"
+        )
     return text, lost
 
 
 def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
     """Returns the tables of a scene file with robot fields instead of `model`.
 
-    Folders are relative to that of `output`. The texts of link files are added to `files`.
+    Folder names are relative to the folder of `output`. The contents of link files are added to
+    `files`.
     """
     from ...data.drive.wiring import wire
 
@@ -132,7 +135,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns the fields of a robot that differ from their defaults; see `scene_tables`."""
+    """Returns the robot fields that differ from their defaults, see `scene_tables`."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
@@ -186,7 +189,7 @@ def _plain(value: Any) -> Any:
 
 
 def link_files(robot: SerialRobot) -> dict[str, str]:
-    """Returns the texts of the files of base and links by file name, in the order of links."""
+    """Returns a mapping from file names to contents of the files of the base and all links."""
     root, problems = mujoco.MjSpec(), list[Problem]()
     links = drawn_geoms(root, robot, problems)
     raise_any(problems)

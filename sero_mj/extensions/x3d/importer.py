@@ -1,4 +1,4 @@
-"""The importer of X3D scenes."""
+"""`X3d`: the importer of X3D scenes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Maps fields and events of the paper's X3D protos (Fig. 3 and 5) to those of scene files."""
+"""Maps fields and events of the paper's X3D protos (Fig. 3 and 5) to keys of scene files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from .vrml_nodes import Node
 
 OWN_NODES = ("SerialRobot", "UdpReceiver", "ShmReader")
 PAPER_CONVENTION = "craig"
-# Fields of the paper's protos: type, and key in scene files.
+# Type and scene file key of each field of the paper's protos.
 ROBOT_FIELDS = {
     "dhParams": ("MFVec4f", "dh_params"),
     "directory": ("SFString", "directory"),
@@ -37,14 +37,14 @@ UDP_FIELDS = {
     "scale": ("SFFloat", "scale"),
     "debuglevel": ("SFInt32", "debug_level"),
 }
-# The paper lists no fields of `ShmReader`: it has those of `UdpReceiver`, and our own.
+# The paper lists no fields of `ShmReader`. Here it has those of `UdpReceiver`, and our own.
 SHM_FIELDS = {
     **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
     "block": ("SFString", "block"),
     "lock": ("SFString", "lock"),
     "offset": ("SFInt32", "offset"),
 }
-# Additional fields, with the keys of scene files in camel case.
+# Additional fields, whose names are keys of scene files in camel case.
 MORE_ROBOT_FIELDS = {
     "dhConvention": ("SFString", "dh_convention"),
     "jointNames": ("MFString", "joint_names"),
@@ -81,9 +81,9 @@ SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
 
 
 def own_kind(node: Node) -> str:
-    """Returns the paper's proto of a node, or an empty string.
+    """Returns the name of the paper's proto that a node instantiates, or an empty string.
 
-    An EXTERNPROTO may have a different name than the PROTO at its URL, so both are compared.
+    An EXTERNPROTO may have a different name than the PROTO at its URL, so both names are compared.
     """
     if node.kind in OWN_NODES:
         return node.kind

@@ -1,8 +1,8 @@
-"""Reads a scene in X3D's classic encoding, as in the paper's Fig. 7, as tables of a scene file.
+"""Reads a scene in X3D's classic encoding, like the paper's Fig. 7, as tables of a scene file.
 
 The nodes `SerialRobot`, `UdpReceiver` and `ShmReader` are the paper's protos (Fig. 3 and 5). Rows
 of `dhParams` are alpha, a, theta, d by Craig's convention in rad and m. Matrices have their
-translation in the fourth row, as in X3D (ISO/IEC 19775-1, 5.3).
+translation in the fourth row, as required by X3D (ISO/IEC 19775-1, 5.3).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from .vrml_nodes import Document, FieldValue, Node, Problems, RouteStatement, ge
 from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 
 _MAX_DEBUG_LEVEL = 3
-_MAX_TRIANGLES = 500_000  # of all shapes of a scene, without robots
+_MAX_TRIANGLES = 500_000  # maximum for all shapes of a scene, without robots
 _MISSING = "no such file"
 Z_IS_UP = "z is up"  # in the WorldInfo of scenes that sero-mj writes
 # Rotates y to z; y is up in X3D.
@@ -49,7 +49,7 @@ _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 def read_x3d(path: Path) -> ImportedTables:
     """Reads a scene in X3D's classic encoding, or in VRML97.
 
-    Warnings list other nodes, and missing geometry files of robots. Links without a file are
+    Warnings list ignored nodes and missing geometry files of robots. Links without a file are
     generated from the DH table. Raises DeclarationError with all errors and their lines.
     """
     return _X3dReader(read_document(path)).described()
@@ -63,7 +63,7 @@ class _X3dReader:
         self.warnings: list[str] = []
         self.not_shown: dict[str, int] = {}
         self.left_out: list[str] = []  # ROUTEs
-        self.names: dict[int, str] = {}  # unique names of nodes by id
+        self.names: dict[int, str] = {}  # maps ids of nodes to unique names
         self.placed: dict[int, Array] = {}  # frames of robots, sources and shapes
         self.waiting: list[VisitedNode] = []  # groups that a ROUTE moves
         self.fixed: set[int] = set()  # groups that became children of a robot
@@ -74,7 +74,7 @@ class _X3dReader:
         self.cameras: dict[str, dict[str, Any]] = {}
         self.lights: dict[str, dict[str, Any]] = {}
         self.routes: dict[str, str] = {}
-        self.missing: dict[str, str] = {}  # files of robots
+        self.missing: dict[str, str] = {}  # missing files of robots
         self.description = ""
         self.triangles = 0
         # Groups that a ROUTE moves are read after static ones.
@@ -187,7 +187,7 @@ class _X3dReader:
     def _robot(self, seen: VisitedNode, mount: str | None = None) -> None:
         node = seen.node
         if id(node) in self.placed:
-            message = "is used twice; expected a separate robot instead of USE"
+            message = "is used twice; expected a second robot instead of USE"
             self.problems.add(node.label, message, node.line)
             return
         label = get(node, "name", "SFString", "", self.problems)
@@ -205,7 +205,7 @@ class _X3dReader:
         found = self._fields(node, fields, place, ("name", "children", "metadata"), events)
         table["dh_convention"] = found.pop("dh_convention", PAPER_CONVENTION)
         rows = len(found.get("dh_params", [[]]))
-        for key in ("joint_angles", "offsets_to_center_of_joints"):  # default of the proto
+        for key in ("joint_angles", "offsets_to_center_of_joints"):  # defaults of the proto
             if key in found and rows != 1 and len(found[key]) == 1 and not np.any(found[key]):
                 del found[key]
         for key, field in (("base_frame", "baseFrame"), ("flange_frame", "flangeFrame")):
@@ -230,7 +230,7 @@ class _X3dReader:
             "DirectionalLight",
             "SpotLight",
         ):
-            message = "expected it outside the children of the robot"
+            message = "expected this node outside the children of the robot"
             self.problems.add(seen.node.label, f"found {seen.node.kind}; {message}", seen.node.line)
         elif seen.node.kind == "Shape":
             return [{"name": name, **table} for name, table in self._shapes(seen)]
@@ -349,7 +349,7 @@ class _X3dReader:
             self.problems.raise_all()
         if table is None:
             return []
-        # Each use of a shape becomes an object.
+        # Each use of a shape becomes a separate object.
         is_first = id(shape) not in self.placed
         self.placed[id(shape)] = seen.T
         name = self._name(shape if is_first else Node(shape.kind, shape.line), shape.name or text)
@@ -412,7 +412,7 @@ class _X3dReader:
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
     def _ends(self, route: RouteStatement) -> tuple[str, str, str] | None:
-        """Returns the source of a ROUTE, its target robot, and its text; None without a route."""
+        """Returns the source, target robot and text of a ROUTE, or None if it is left out."""
         names, line = self.document.names, route.line
         text = f"{route.origin}.{route.event} TO {route.target}.{route.input}"
         for name in (route.origin, route.target):
@@ -446,7 +446,7 @@ class _X3dReader:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
-            self._leave_out(text, line)  # the paper lets ROUTEs change these fields
+            self._leave_out(text, line)  # the paper allows ROUTEs to change these fields
         elif field not in ROBOT_INPUTS:
             message = f"no input '{field}'{did_you_mean(field, ROBOT_INPUTS)}"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -473,7 +473,7 @@ class _X3dReader:
     def _warn(self) -> None:
         for name, files in self.missing.items():
             self.warnings.append(
-                f"missing geometry files {files}; these links of {name} are generated from the DH "
+                f"missing geometry files {files}; the links of {name} are generated from the DH "
                 "table"
             )
         if self.not_shown:

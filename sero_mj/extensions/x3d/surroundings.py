@@ -12,15 +12,15 @@ from .wrl import VisitedNode, by_color, color_of, rotation, triangles_of
 from .wrl_geometry import Triangles, is_open, with_hull
 
 LIGHT_SHARE = 0.7  # factor of X3D intensities, because a headlight and ambient light are added
-_CAMERA_DISTANCE = 1.0  # m, to the look-at point if the center is behind the camera
-_LIGHT_DISTANCE = 4.0  # m, of directional lights
+_CAMERA_DISTANCE = 1.0  # distance to the look-at point if the center is behind the camera, m
+_LIGHT_DISTANCE = 4.0  # distance of directional lights, m
 _MIN_ROLL = np.deg2rad(1.0)
 
 
 def object_table(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> tuple[dict[str, Any] | None, str, int]:
-    """Returns the table of a Shape, a name for it, and its number of triangles.
+    """Returns the table, a name and the number of triangles of a Shape.
 
     The table declares a primitive or MJCF. It is None for an invisible Shape. The kind and line of
     an unknown geometry are added to `left_out`.
@@ -81,7 +81,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
 
 
 def mesh_text(pieces: list[Triangles]) -> str:
-    """Returns MJCF of triangles, without collisions. An open surface has no mass."""
+    """Returns triangles as MJCF meshes without collisions. An open surface has no mass."""
     meshes, geoms = [], []
     for k, (vertices, faces, rgba) in enumerate(pieces):
         points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
@@ -96,7 +96,7 @@ def mesh_text(pieces: list[Triangles]) -> str:
 
 
 def view_axes(viewpoint: Node, problems: Problems) -> Array:
-    """Returns the axes (3, 3) of a Viewpoint in its coordinates: right, up, and backward."""
+    """Returns the axes (3, 3) of a Viewpoint in its parent's frame: right, up and backward."""
     default = np.array([0.0, 0.0, 1.0, 0.0])
     with problems.collect(f"{viewpoint.label}.orientation", viewpoint.line):
         return rotation(get(viewpoint, "orientation", "SFRotation", default, problems))
@@ -104,7 +104,7 @@ def view_axes(viewpoint: Node, problems: Problems) -> Array:
 
 
 def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
-    """Returns the table of a Viewpoint, and its roll in degrees, which cameras do not support."""
+    """Returns a Viewpoint as a table, and its roll in degrees, which cameras do not support."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -125,7 +125,7 @@ def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any],
 
 
 def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
-    """Returns the table of a DirectionalLight or a SpotLight; None if the light is off."""
+    """Returns a DirectionalLight or a SpotLight as a table, or None if the light is off."""
     node = seen.node
     if not get(node, "on", "SFBool", True, problems):
         return None
@@ -147,6 +147,6 @@ def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
 
 
 def rounded(values: Array) -> list[Any]:
-    """Returns numbers without digits due to rounding errors, for files."""
+    """Returns numbers rounded to remove rounding errors, for writing to files."""
     numbers: list[Any] = (np.asarray(values, np.float64).round(12) + 0.0).tolist()
     return numbers

@@ -1,4 +1,4 @@
-"""Parses the classic VRML syntax of VRML97 and X3D's classic encoding: text to nodes.
+"""Parses the classic VRML syntax of VRML97 and X3D's classic encoding.
 
 Sources: ISO/IEC 14772-1 (VRML97), annex A; ISO/IEC 19776-2 (X3D's classic VRML encoding).
 """
@@ -32,9 +32,9 @@ from .vrml_nodes import (
     read_field,
 )
 
-MAX_BYTES = 50_000_000  # of an uncompressed file, about a million triangles
-_MAX_TOKENS = 2_000_000  # without numbers in lists; takes some seconds
-_MAX_DEPTH = 120  # of nested nodes; each level takes several calls
+MAX_BYTES = 50_000_000  # maximum size of an uncompressed file, about a million triangles
+_MAX_TOKENS = 2_000_000  # maximum without numbers in lists; parsing takes some seconds
+_MAX_DEPTH = 120  # maximum depth of nested nodes; each level takes several function calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
 # Inlined files often have no header.
@@ -91,7 +91,7 @@ def _read_text(path: Path) -> str:
         except zlib.error as error:
             raise invalid(f"is a damaged gzip file: {error}") from None
         if unpacked.unconsumed_tail:
-            raise invalid(f"is a gzip file with too large contents; {limit}")
+            raise invalid(f"is a gzip file with contents that are too large; {limit}")
         if not unpacked.eof:
             raise invalid("is a truncated gzip file")
     text = contents.decode("utf-8-sig", errors="replace")
@@ -125,11 +125,11 @@ class _Token(NamedTuple):
     kind: str  # number, numbers, text, name, mark, other, end
     text: str
     line: int
-    numbers: Array | None = None  # of a whole list
+    numbers: Array | None = None  # all numbers of a list
 
 
 class _TooMuch(Exception):
-    """The file exceeds a limit that has been reported."""
+    """Ends parsing after an error about an exceeded limit has been collected."""
 
 
 class _NameScope:
@@ -145,9 +145,9 @@ class _VrmlParser:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
         self._depth = 0
-        # After an error nothing more is reported until something is parsed successfully.
+        # After an error, no other error is reported until something is parsed successfully.
         self._is_lost = False
-        self._errors = 0  # reported or not
+        self._errors = 0  # number of reported and unreported errors
         self._scope = _NameScope({})
         self._token = _Token("mark", "", 1)
         self._next()
@@ -183,7 +183,7 @@ class _VrmlParser:
             line += word.count("\n")
             position = found.end()
             if count > _MAX_TOKENS:
-                message = f"has more than {_MAX_TOKENS:,} words; expected fewer"
+                message = f"has more than {_MAX_TOKENS:,} words; expected fewer words"
                 self.problems.add("", message, line)
                 raise _TooMuch
         while True:

@@ -1,6 +1,6 @@
 """The contents of a file in the classic VRML syntax: nodes, their fields, PROTOs and ROUTEs.
 
-The syntax does not determine the type of a field, so values are stored untyped. `read_field`
+The syntax does not determine the type of a field, so values are stored without a type. `read_field`
 converts a value to a type.
 """
 
@@ -17,8 +17,8 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem, mismatch, problems_of
 from ...base.frames import Array
 
-_MAX_PROBLEMS = 20  # reported per file
-# Number of numbers in one value of a type.
+_MAX_PROBLEMS = 20  # maximum number of reported errors per file
+# Count of numbers in one value of each type.
 _WIDTHS = {
     "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
     "Vec2f": 2, "Vec2d": 2, "Vec3f": 3, "Vec3d": 3, "Vec4f": 4, "Vec4d": 4,
@@ -31,7 +31,7 @@ _LARGEST = 1e30  # larger numbers are errors
 
 
 class Is(NamedTuple):
-    """`IS name`: the value of a field of the enclosing PROTO."""
+    """The value `IS name`, which refers to a field of the enclosing PROTO."""
 
     name: str
 
@@ -92,7 +92,7 @@ class Node:
 
 @dataclass(frozen=True)
 class RouteStatement:
-    """`ROUTE node.event TO node.event`."""
+    """A statement `ROUTE node.event TO node.event`."""
 
     origin: str
     event: str
@@ -148,7 +148,7 @@ class Problems:
 
 
 def instance(node: Node) -> Node | None:
-    """Returns the node that a PROTO of the same file creates; None without a body."""
+    """Returns the node that a PROTO of the same file creates, or None if it has no body."""
     if node.proto is None or not node.proto.body:
         return None
     made: dict[int, Node] = {}
@@ -182,9 +182,9 @@ def read_field(value: FieldValue, kind: str) -> Any:
     """Converts a value to a type, such as `SFFloat` or `MFVec3f`.
 
     Returns:
-        bool, int, float, str, `Node` or None for SFBool, SFInt32, SFFloat, SFString and SFNode, and
-        an array (w,) for types with w numbers. MF types are lists of strings, nodes or booleans, or
-        arrays (k,) or (k, w). The order of numbers in matrices is unchanged.
+        bool, int, float or str for SFBool, SFInt32, SFFloat and SFString; a `Node` or None for
+        SFNode; an array (w,) for types with w numbers. MF types become lists of strings, nodes or
+        booleans, or arrays (k,) or (k, w). The order of numbers in matrices is unchanged.
 
     Raises:
         ValueError: the value does not have this type.

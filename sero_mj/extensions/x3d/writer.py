@@ -34,9 +34,9 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Returns a scene as text that `read_x3d` reads, and the keys that X3D cannot express.
+    """Returns a scene as X3D text for `read_x3d`, and the keys that X3D cannot express.
 
-    `tables` are those of a scene file, with robot fields instead of `model`.
+    `tables` are the tables of a scene file, with robot fields instead of `model`.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
@@ -46,7 +46,7 @@ class _Writer:
     def __init__(self, tables: Mapping[str, Any]) -> None:
         self.tables = tables
         self.left_out: list[str] = []
-        self.used: dict[str, None] = {}  # protos
+        self.used: dict[str, None] = {}  # names of used protos
 
     def text(self) -> str:
         known = ("name", "description", "robots", "sources", "routes", "objects", "cameras",
@@ -116,8 +116,8 @@ class _Writer:
     def _by_craig(self, name: str, robot: dict[str, Any]) -> dict[str, Any]:
         """Converts a standard DH table to Craig's convention, which the proto uses.
 
-        A row by Craig has theta and d of the same standard row, and alpha and a of the previous
-        one. The last alpha and a become part of the flange frame.
+        A row in Craig's convention contains theta and d of the standard row with the same number,
+        and alpha and a of the previous row. The last alpha and a become part of the flange frame.
         """
         if robot.pop("dh_convention", PAPER_CONVENTION) == PAPER_CONVENTION:
             return robot
@@ -188,7 +188,7 @@ class _Writer:
             geometries, scale = [("Sphere { radius 1.0 }", rgba)], np.array(size)
         elif shape == "cylinder":
             geometries = [(f"Cylinder {{ radius {size[0]!r} height {size[1]!r} }}", rgba)]
-            T = T @ frame(rotation_about(0, np.pi / 2))  # the axis is y in X3D, and z here
+            T = T @ frame(rotation_about(0, np.pi / 2))  # the axis is y in X3D and z in MuJoCo
         else:
             geometries = [] if text is None else [*_face_sets(text)]
         if not geometries:
@@ -289,7 +289,7 @@ def _field(name: str, kind: str, value: Any) -> list[str]:
     if kind in ("SFInt32", "SFFloat"):
         return [f"{name} {value!r}"]
     if kind == "SFMatrix4f":
-        return [f"{name} {_numbers(np.array(value).T)}"]  # with the translation in the fourth row
+        return [f"{name} {_numbers(np.array(value).T)}"]  # the translation is in the fourth row
     if kind == "MFString":
         entries = [_text(each) for each in value]
     else:
@@ -387,7 +387,7 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
 
 
 def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
-    """Returns an IndexedFaceSet of triangles (f, 3) of points (k, 3).
+    """Returns an IndexedFaceSet of triangles (f, 3) with vertices `points` (k, 3).
 
     Edges are sharp above the angle `crease` in rad, and at duplicated vertices.
     """

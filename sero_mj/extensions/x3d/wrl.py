@@ -21,7 +21,7 @@ from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
 
-_MAX_NODES = 100_000  # visited nodes of a file; USE and PROTO can multiply them
+_MAX_NODES = 100_000  # maximum number of visited nodes of a file, counting each USE and PROTO
 _MAX_TRIANGLES = 5_000_000
 _MAX_INLINES = 200
 _DEFAULT_COLOR = (0.8, 0.8, 0.8)
@@ -55,9 +55,9 @@ def read_wrl(path: Path) -> list[Triangles]:
     A warning lists nodes that are not drawn, and missing files of Inline nodes.
 
     Returns:
-        for every color, vertices (v, 3) in the file's unit, triangles (f, 3), counterclockwise seen
-        from outside, and RGBA (4,), or None without a material. Vertices are duplicated at edges
-        that are sharp by `creaseAngle` or normals.
+        for every color, vertices (v, 3) in the file's unit, triangles (f, 3), and RGBA (4,), or
+        None without a material. Triangles are counterclockwise seen from outside. Vertices are
+        duplicated at edges that are sharp according to `creaseAngle` or normals.
     """
     problems = Problems(path)
     document = read_document(path)
@@ -84,7 +84,7 @@ def read_wrl(path: Path) -> list[Triangles]:
 
 
 def by_color(pieces: list[Triangles]) -> list[Triangles]:
-    """Joins the pieces of each color."""
+    """Joins all pieces of the same color."""
     same: dict[bytes | None, list[Triangles]] = {}
     for piece in pieces:
         same.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
@@ -108,8 +108,8 @@ def visit(
 ) -> list[VisitedNode]:
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
-    If `is_leaf` is true for a node, it is returned instead of its children. Inlined files are
-    searched for in the folder of the file.
+    If `is_leaf` returns True for a node, the node is returned instead of its children. Inlined
+    files are searched for in the folder of the file.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -222,7 +222,7 @@ def transform_of(node: Node) -> Array:
 
 
 def matrix(numbers: Array) -> Array:
-    """Returns the frame (4, 4) of an SFMatrix4f, which has the translation in its fourth row."""
+    """Returns the frame (4, 4) of an SFMatrix4f, whose translation is in the fourth row."""
     return numbers.reshape(4, 4).T.copy()
 
 
@@ -242,7 +242,7 @@ def rotation(axis_angle: Array) -> Array:
 def triangles_of(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> list[Triangles]:
-    """Returns the triangles of a Shape by color, in coordinates of the root.
+    """Returns the triangles of a Shape for each color, in coordinates of the root.
 
     The kind and line of an unknown geometry are added to `left_out`.
     """

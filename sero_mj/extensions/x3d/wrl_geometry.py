@@ -13,10 +13,10 @@ from ...base.errors import Problem, mismatch
 from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
-_SIDES = 32  # of round shapes
-_MAX_CORNERS = 2000  # of a concave polygon; triangulation takes quadratic time
-_MAX_CONCAVE = 50_000  # number of concave polygons
-_MAX_COLORS = 24  # of one shape with vertex colors; more colors are averaged
+_SIDES = 32  # number of sides of round shapes
+_MAX_CORNERS = 2000  # maximum for a concave polygon; triangulation takes quadratic time
+_MAX_CONCAVE = 50_000  # maximum number of concave polygons
+_MAX_COLORS = 24  # maximum for one shape with vertex colors; more colors are averaged
 
 Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
 
@@ -170,7 +170,9 @@ def _cut(points: Array, index: Ints) -> Ints:
 def clip_ears(outline: Array, normal: Array) -> Ints:
     """Triangulates a planar, possibly concave outline (n, 3) by clipping ears.
 
-    The corners are counterclockwise seen against the normal. Returns corner indices (n - 2, 3).
+    The corners are counterclockwise seen against the normal. Returns indices of the triangles'
+    corners, shape (n - 2, 3).
+
     Source: Meisters, Polygons Have Ears, 1975.
     """
     if len(outline) > _MAX_CORNERS:
@@ -244,7 +246,7 @@ def is_open(vertices: Array, faces: Ints) -> bool:
 
 
 def with_hull(vertices: Array) -> Array:
-    """Returns vertices (v, 3), with an unused one next to their plane if they are coplanar.
+    """Returns vertices (v, 3), with an unused vertex next to their plane if they are coplanar.
 
     MuJoCo cannot compute the convex hull of planar meshes.
     """
@@ -286,9 +288,10 @@ def _smoothing(
 
 
 def smoothed(normals: Array, faces: Ints, min_cosine: float) -> Ints:
-    """Labels corners of triangles (f, 3) so that corners that meet at smooth edges share a label.
+    """Labels corners of triangles (f, 3). Corners that meet at smooth edges have the same label.
 
-    At smooth edges the cosine between the normals of two triangles is at least `min_cosine`.
+    An edge is smooth if the cosine between the normals of its two triangles is at least
+    `min_cosine`.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)

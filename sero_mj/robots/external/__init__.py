@@ -1,4 +1,4 @@
-"""External models: a `WorldView` of a model that sero-mj did not compile.
+"""Provides a `WorldView` of external models, which sero-mj did not compile.
 
 In: an `MjModel` and its `MjData`. Out: a `ModelWorld` with the robots, joints and frames of the
 model, and the sizes of their decor.

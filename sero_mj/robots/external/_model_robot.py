@@ -22,7 +22,7 @@ from ..declared.robot import SerialRobot
 from ..importers.mjcf_model import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 
-# Fields that users can set; the model determines the others.
+# Fields that users can set. The model determines all other fields.
 FIELDS = (
     "torque_limits",
     "acceleration_limits",
@@ -79,9 +79,9 @@ class ModelPart(RobotPart):
     """Indices of a robot in an external model.
 
     Attributes:
-        size: reach in m.
+        size: reach of the robot, m.
         tool: name of the frame at the end of the chain, without the robot's name.
-        labels: names of base and links, n + 1.
+        labels: names of the base and the n links.
     """
 
     robot: ModelRobot
@@ -118,7 +118,10 @@ def model_part(
     overrides: Mapping[str, Any],
     start: int,
 ) -> ModelPart:
-    """Declares a robot, measured in the state `rest`, with the fields that the user overrides."""
+    """Returns the declaration and indices of a robot, measured in the state `rest`.
+
+    Fields set by the user override the measured values.
+    """
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
     with collect(problems, f"robots.{tree.name}"):
@@ -176,7 +179,7 @@ def _model_robot(
             joint_frames=_joint_frames(model, tree),
             joint_types=["revolute" if turns else "prismatic" for turns in revolute],
             joint_names=tree.joint_names,
-            torques=np.zeros(n),  # the model provides values; billboards need the input
+            torques=np.zeros(n),  # declares the input for billboards; the model provides the values
             **fields,
         )
     raise_any(problems)
@@ -208,11 +211,11 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Lists the named frames of a model, and where each frame is read.
+    """Returns the named frames of a model, with the state and the row from which each is read.
 
-    A frame is read in the state of a double, or in the model's own state if the name is empty. Its
-    row is one of `xpos` followed by `site_xpos`. Frames of robots and doubles are called
-    `robot/body`. `wanted` are names of other bodies and sites.
+    A frame is read from the state of a named double, or from the model's own state if the name is
+    empty. Rows refer to `xpos` followed by `site_xpos`. Frames of robots and doubles are called
+    `robot/body`. `wanted` contains names of additional bodies and sites.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}

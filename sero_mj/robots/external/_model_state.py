@@ -1,4 +1,4 @@
-"""The state of an external model, with the sites and `userdata` that decor reads.
+"""Adds the sites and `userdata` that decor reads to the state of an external model.
 
 They cannot be added to a compiled model, so `ModelWorld` creates a `ModelState` for every frame.
 """
@@ -16,7 +16,7 @@ from ...base.frames import Array, Ints
 from ..assemble.parts import DoublePart, DrawnDouble
 from ..declared.double import OUT_OF_SIGHT, fade_in, path_fade
 
-_PARALLEL = 1e-6  # minimum length of a unit vector's component perpendicular to an axis
+_PARALLEL = 1e-6  # minimum perpendicular component of a unit vector that is not parallel to an axis
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,7 +25,7 @@ class ModelState:
 
     Attributes:
         site_xpos: positions of joints, then frames, then fixed points, shape (S, 3).
-        doubles: states of the doubles with a pose by name; a path has several states.
+        doubles: mapping from names of doubles with a pose to states. A path has several states.
     """
 
     data: mujoco.MjData
@@ -44,10 +44,10 @@ class Sites:
     """Reads the site poses of a `ModelState`: joints, then frames, then fixed points.
 
     Args:
-        joints: joint frames of every robot and double, with the name of the double whose state
-            they are read from; "" for the user's data.
-        frames: name of a double or "", and a row of `xpos` followed by `site_xpos`.
-        points: fixed points in the world, shape (P, 3).
+        joints: joint frames of every robot and double, with the name of the double from whose state
+            they are read, or "" for the user's data.
+        frames: name of a double or "", and row of `xpos` followed by `site_xpos`, for each frame.
+        points: world positions of fixed points, shape (P, 3), m.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Sites:
         points: Array,
     ) -> None:
         self._joints, self._points, self._count = joints, points, len(frames)
-        self._frames = {  # indices of the frames in each state, and their rows
+        self._frames = {  # maps states to indices and rows of frames
             name: (
                 [k for k, (of, _) in enumerate(frames) if of == name],
                 [row for of, row in frames if of == name],
@@ -88,7 +88,7 @@ class Sites:
         upright = np.broadcast_to(np.eye(3), (len(self._points), 3, 3))
         site_xpos = np.concatenate([*positions, at_frames, self._points])
         site_xmat = np.concatenate([*rotations, of_frames, upright])
-        # Positions of a diverged simulation cannot be drawn.
+        # Infinite positions of a diverged simulation cannot be drawn.
         lost = ~(np.isfinite(site_xpos).all(axis=1) & np.isfinite(site_xmat).all(axis=(1, 2)))
         if lost.any():
             site_xpos[lost], site_xmat[lost] = OUT_OF_SIGHT, np.eye(3)
@@ -96,10 +96,10 @@ class Sites:
 
 
 class JointPoses:
-    """Frames of joints, with z along the axis, offset (n, 3) from the anchors.
+    """Computes joint frames with z along the joint axis, offset (n, 3) from the anchors.
 
     As in a compiled scene, a frame rotates with its link, and is parallel to the link's frame if
-    the axis is the link's z axis. Several hinges of one body rotate in sequence.
+    the joint axis is the link's z axis. Several hinges of one body rotate in sequence.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
@@ -107,7 +107,7 @@ class JointPoses:
         self._bodies = model.jnt_bodyid[joints].astype(np.intp)
         self._parents = model.body_parentid[self._bodies].astype(np.intp)
         self._hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        self._anchor = np.array(model.jnt_pos[joints])  # in its body, (n, 3), m
+        self._anchor = np.array(model.jnt_pos[joints])  # in the body's frame, shape (n, 3), m
         self._qpos = model.jnt_qposadr[joints].astype(np.intp)
         self._reference = np.array(model.qpos0[self._qpos])
         in_parent = np.empty((len(joints), 9))  # the frames at the reference angles
@@ -120,7 +120,7 @@ class JointPoses:
         self._x, self._y = np.moveaxis(in_parent.reshape(-1, 3, 3), 2, 0)[:2]
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Returns positions (n, 3) and rotations (n, 3, 3) at the current joint angles."""
+        """Returns positions (n, 3) and rotations (n, 3, 3) of the current joint frames."""
         axis = data.xaxis[self._joints]
         parent = data.xmat[self._parents].reshape(-1, 3, 3)
         body = data.xmat[self._bodies].reshape(-1, 3, 3)
@@ -158,9 +158,9 @@ class ModelDoubles:
     def pose(
         self, data: mujoco.MjData, angles: Mapping[str, Array]
     ) -> dict[str, list[mujoco.MjData]]:
-        """Returns the states of the doubles with joint angles; other bodies are as in `data`.
+        """Returns the states of the doubles with joint angles. Other bodies are as in `data`.
 
-        `angles` are the joint angles (n,) of doubles by name. Paths have their own.
+        `angles` maps names of doubles to joint angles (n,). Paths contain their own joint angles.
         """
         poses = {}
         for name, part in self._doubles.items():

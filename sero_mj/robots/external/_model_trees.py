@@ -1,9 +1,9 @@
-"""Finds the robots in an external model, and names them.
+"""Finds the robots in an external model and determines their names.
 
 A robot is a kinematic tree with hinge or slide joints: a child of the world and its descendants.
 There are two exceptions:
 
-- If a model has actuators, only the trees that they drive are robots. Doors and knobs are not.
+- If a model has actuators, only the trees that they drive are robots, unlike doors and knobs.
 - MuJoCo fuses a fixed trunk with the world, so that its limbs become separate trees. Limbs that
   touch the same solid geoms of the world are one robot.
 """
@@ -31,7 +31,7 @@ _PART_WORDS = frozenset(
     }
 )
 _UNNAMED = "MuJoCo Model"  # MuJoCo's name for an unnamed model
-_TOUCHING = 0.2  # gap up to which solids touch, relative to the diagonal of the world's solid
+_TOUCHING = 0.2  # maximum gap of touching solids, fraction of the diagonal of the world's solid
 _TYPES = mujoco.mjtGeom
 
 
@@ -42,10 +42,11 @@ class Tree:
     Attributes:
         name: name of the root body, or of the model if the root has a name like `base_link`. It is
             unique and valid in routes.
-        bodies: ids, parents before children. The first is the root, or the world for a trunk.
+        bodies: ids of the bodies, parents before children. The first one is the root, or the world
+            if there is a trunk.
         trunk: ids of the world's geoms that form the fused trunk.
         joints: ids of hinges and slides, shape (n,).
-        joint_names: names without their common scope, n.
+        joint_names: names of the n joints without their common scope.
         chain: indices of the joints between the root and the first branch, which move the tool of a
             serial arm.
         last: id of the body at the end of the chain.
@@ -67,7 +68,7 @@ class Tree:
 def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:
     """Returns the robots of a model in the order of their bodies.
 
-    `wanted` are names of trees without actuators that are robots nevertheless.
+    `wanted` contains names of trees that are robots even though they have no actuators.
     """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
@@ -145,7 +146,7 @@ def _is_limb(model: mujoco.MjModel, root: int) -> bool:
 
 
 def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
-    """Returns the nodes that are connected to one through solids of the world, including itself.
+    """Returns the nodes that solids of the world connect to the node `start`, which is included.
 
     A node has an id (negative for solids of the world), a box (2, 3), and the gap that it bridges.
     """
@@ -167,7 +168,7 @@ def _scope(model: mujoco.MjModel, body: int) -> str:
 
 
 def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
-    """Returns the root's name, or the scope or the model's name if that does not identify it."""
+    """Returns the root's name or, if this name is generic, the scope or the model's name."""
     name = str(model.body(int(roots[0])).name).strip("/")
     model_name = model.names[: model.names.index(b"\0")].decode(errors="replace")
     model_name = "" if model_name == _UNNAMED else re.sub(r"[ _-]*scene$", "", model_name)
@@ -226,7 +227,7 @@ def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, 
     while len(below.get(body, [])) == 1:
         body = below[body][0]
         along.add(body)
-    if body not in below:  # end of the chain: the tool is the last body fixed to it
+    if body not in below:  # end of the chain: the tool is the last body fixed to this body
         fixed = [b for b in range(body + 1, model.nbody) if int(model.body_weldid[b]) == body]
         body = fixed[-1] if fixed else body
     chain = np.array([i for i, j in enumerate(joints) if int(model.jnt_bodyid[j]) in along])

@@ -1,7 +1,7 @@
-"""`ModelWorld`, the `WorldView` of an external model.
+"""`ModelWorld`: the `WorldView` of an external model.
 
-It derives from the model what a `World` derives from a scene. Input values are stored here and not
-in the user's data.
+It derives from the model what a `World` derives from a scene. Input values are stored in the
+`ModelWorld` and not in the user's data.
 """
 
 from __future__ import annotations
@@ -35,7 +35,8 @@ log = logging.getLogger(__name__)
 
 _FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
 _MUJOCO_VIEW = (90.0, -45.0)  # MuJoCo's default azimuth and elevation
-# Largest gap and size of framed objects next to robots, relative to the robots' size.
+# Maximum gap and size of objects next to robots that the view includes, relative to the robots'
+# size.
 _MAX_GAP, _MAX_SIZE = 1.0, 2.0
 _FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
@@ -45,7 +46,7 @@ class ModelScene(Scene):
     """The scene of an external model."""
 
     def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
-        self._frames = dict(frames)  # the constructor of the base class needs them
+        self._frames = dict(frames)  # used by the constructor of the base class
         super().__init__(floor=False, **fields)
 
     def frame_name(self, name: str) -> str:
@@ -59,17 +60,17 @@ class ModelWorld(WorldView):
     """The world of an overlay.
 
     Args:
-        robots: fields of robots that override the model, by robot name.
+        robots: mapping from robot names to fields that override values of the model.
         frames: names of bodies and sites whose axes are shown in addition to those of robots.
-        surroundings: whether missing floor, sky and lights are added.
+        surroundings: whether a floor, a sky and lights are added if the model has none.
 
     Attributes:
-        options: the constructor arguments except model and data.
+        options: constructor arguments except `model` and `data`.
         not_finite: number of NaN, infinite and implausible values that were set and not shown.
 
     Raises:
         DeclarationError: the model has no hinge or slide, or a field does not fit the model.
-        UnknownName: the model has no such robot, body or site.
+        UnknownName: a name in `robots` or `frames` does not exist in the model.
     """
 
     has_sites = False
@@ -232,7 +233,7 @@ class ModelWorld(WorldView):
         ]
 
     def geoms_in_view(self) -> Bools:
-        """Returns a mask (ngeom,) of the geoms of robots and of movable objects next to them."""
+        """Returns a mask (ngeom,) of the geoms of robots and of movable objects next to robots."""
         model = self.model
         bodies = np.concatenate([tree.bodies[tree.bodies > 0] for tree in self._trees])
         of_robots = np.isin(model.geom_bodyid, bodies)
@@ -252,7 +253,7 @@ class ModelWorld(WorldView):
     def surroundings(self) -> mujoco.MjModel | None:
         """Returns a model of the floor, sky and lights that the user's model lacks, or None.
 
-        The floor is at height 0, or below the lowest robot at the first call.
+        The floor is at height 0, or below the lowest robot at the time of the first call.
         """
         if self._surroundings is not None:
             return self._surroundings
@@ -277,19 +278,20 @@ class ModelWorld(WorldView):
         return self._surroundings
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
-        """Sets an input, which then overrides the values of the model.
+        """Sets an input, whose values then override those of the model.
 
         NaN, infinite values and values beyond `Input.limits` mean no data. They are not shown, do
         not move a double, and are counted in `not_finite`.
 
         Args:
             target: `name.input`, such as `arm.torques`; see `inputs`.
-            values: shape (n,), (3,), or one number. Joint values can also be a vector (nv,) of the
-                model, such as `data.qfrc_actuator`, or a mapping from joint names to numbers.
+            values: values of shape (n,) or (3,), or one number, depending on the input. Joint
+                values can also be a vector (nv,) of the model, such as `data.qfrc_actuator`, or a
+                mapping from joint names to numbers.
 
         Raises:
-            UnknownName: unknown robot, input or joint.
-            ValueError: wrong number of values, or joint angles of a robot.
+            UnknownName: the robot, input or joint does not exist.
+            ValueError: the number of values is wrong, or the input is the joint angles of a robot.
         """
         name, _, key = target.partition(".")
         if key == "joint_angles" and name in self.robots:
@@ -311,7 +313,7 @@ class ModelWorld(WorldView):
         bad = ~np.isfinite(array) | (np.abs(array) > item.limits)
         if bad.any() and not isinstance(values, _ByName):
             if not self.not_finite:
-                log.warning("%s: NaN, infinite or too large values are not shown", target)
+                log.warning("%s: NaN, infinite and implausibly large values are not shown", target)
             self.not_finite += int(bad.sum())
             if item.kind not in BLANKABLE:
                 return
@@ -323,7 +325,7 @@ class ModelWorld(WorldView):
         self.changes += 1
 
     def input_state(self) -> Array:
-        """Returns the state of all inputs (k,) for `set_input_state` of an equal world."""
+        """Returns the state of all inputs, shape (k,), for `set_input_state` of an equal world."""
         live = [pair in self._live for pair in self._providable]
         return np.concatenate([self._userdata, live])
 
@@ -350,7 +352,7 @@ class ModelWorld(WorldView):
         return array
 
     def clear_input(self, target: str) -> None:
-        """Clears an input, so that the value of the model is shown again, if any."""
+        """Clears an input. If the model provides a value, that value is shown again."""
         item = self.resolve_input(target)
         self._userdata[self.flags[target]] = 0.0
         if item.name in self.robots and item.key in _FROM_MODEL:
@@ -359,7 +361,7 @@ class ModelWorld(WorldView):
 
 
 class _ByName(np.ndarray):
-    """Values set by joint name. The NaN of other joints are not counted."""
+    """Values set by joint name. NaN of joints that were not set are not counted in `not_finite`."""
 
 
 def _no_joints(model: mujoco.MjModel) -> str:

@@ -9,7 +9,7 @@ from ...base.errors import DeclarationError
 
 
 class NoJoints(DeclarationError):
-    """A file has no movable joint, so that it describes an object of a scene and not a robot."""
+    """The file has no movable joint. It describes an object of a scene and not a robot."""
 
 
 @dataclass(frozen=True)
@@ -17,10 +17,10 @@ class ImportedTables:
     """A robot or a scene as the tables of a TOML file.
 
     Attributes:
-        lines: lines of the original file by dotted key of the tables. An error in a missing key is
-            reported at the line of the nearest key above it. None for TOML files, whose lines are
-            searched for only if there is an error.
-        warnings: one sentence for each lost or reinterpreted element.
+        lines: mapping from dotted keys of the tables to line numbers of the original file. For a
+            missing key, errors are reported at the line of the closest enclosing key. None for TOML
+            files, whose lines are searched for only if there is an error.
+        warnings: one sentence for each lost or reinterpreted element of the original file.
     """
 
     tables: dict[str, Any]

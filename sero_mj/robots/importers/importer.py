@@ -1,6 +1,6 @@
-"""Importers: read robots or scenes in other file formats as the tables of TOML files.
+"""`Importer`: base class for reading robots or scenes of other file formats as tables.
 
-A package adds a format by an entry point in the group `sero_mj.importers`:
+A package adds a format with an entry point in the group `sero_mj.importers`:
 
     [project.entry-points."sero_mj.importers"]
     sdf = "my_package:Sdf"
@@ -20,20 +20,20 @@ from ...base.plugins import IMPORTERS, is_own_class, load_all
 from ...base.toml_file import read_toml
 from .imported_tables import ImportedTables
 
-# Keys that robot files have and scene files do not.
+# Keys that exist in robot files but not in scene files.
 _ROBOT_KEYS = ("dh_params", "dh_params_deg", "joint_frames")
 
 
 class Importer(ABC):
     """Reads one file format.
 
-    Import dependencies inside `read`, because all importers are loaded to choose one.
+    Import dependencies inside `read`, because all importers are loaded to select the matching one.
 
     Attributes:
-        endings: lowercase file extensions with their dots.
+        endings: lowercase file extensions, including the dots.
         is_scene: whether the files describe scenes instead of robots.
-        object_key: key of a scene object that takes a file of this format without joints, such as
-            `urdf`. Empty if there is none.
+        object_key: key of scene objects that accepts a file of this format without joints, such as
+            `urdf`; empty if there is no such key.
         takes_arguments: whether files can have arguments, as in xacro.
         order: priority among importers that accept a file, lowest first. Built-in importers use 10
             to 90.
@@ -47,9 +47,9 @@ class Importer(ABC):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """Whether the importer accepts a file with one of its endings.
+        """Returns whether the importer accepts a file with one of its extensions.
 
-        `head` contains the first 100 kB of the file, or nothing if the file is unreadable.
+        `head` contains the first 100 kB of the file. It is empty if the file is unreadable.
         """
         return True
 
@@ -60,11 +60,11 @@ class Importer(ABC):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """Reads a file. File names in the tables are relative to its folder.
+        """Reads a file. File names in the tables are relative to the folder of this file.
 
         Args:
-            packages: folders of ROS packages by name.
-            arguments: values of the file's arguments by name, as in xacro.
+            packages: mapping from names of ROS packages to folders.
+            arguments: mapping from names of the file's arguments, as in xacro, to values.
 
         Raises:
             DeclarationError: the file cannot be read.
@@ -116,13 +116,13 @@ class Mjcf(Importer):
 
 @cache
 def importers() -> dict[str, Importer]:
-    """Returns all installed importers by name, sorted by `order`."""
+    """Returns a mapping from names to all installed importers, sorted by `order`."""
     kinds = load_all(IMPORTERS, Importer)
     return {name: kinds[name]() for name in sorted(kinds, key=lambda name: kinds[name].order)}
 
 
 def find_importer(path: Path) -> Importer | None:
-    """Returns the importer for a file's extension and contents; None for an unknown extension.
+    """Returns the importer for a file's extension and contents, or None for unknown extensions.
 
     Raises DeclarationError if the contents do not match the extension.
     """
@@ -145,7 +145,7 @@ def read_imported(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables | None:
-    """Reads a file by its importer; returns None if no importer has its extension."""
+    """Reads a file with the matching importer. Returns None if no importer has its extension."""
     importer = find_importer(path)
     if importer is None:
         return None
@@ -165,7 +165,7 @@ def read_imported(
 
 
 def is_robot_file(path: Path) -> bool:
-    """Whether a file describes a robot, by its name, its extension, or keys of robot files."""
+    """Returns whether a file describes a robot, judged by its name, extension and keys."""
     if path.name == ROBOT_FILE or path.suffix in robot_endings():
         return True
     if path.suffix != ".toml":
@@ -173,7 +173,7 @@ def is_robot_file(path: Path) -> bool:
     try:
         keys = read_toml(path).keys()
     except DeclarationError:
-        return False  # reading it as a scene reports the error
+        return False  # the error is reported when the file is read as a scene
     return not keys.isdisjoint(_ROBOT_KEYS) and "robots" not in keys
 
 

@@ -1,7 +1,7 @@
-"""Names of joints: the names in the robot's file, with any printable characters.
+"""Converts and checks names of joints, which can contain any printable characters.
 
-In compiled models a joint is called `ROBOT/JOINT`, split at the first slash. Routes use identifiers
-instead: `left_j1` stands for `left/j1`.
+Joints have the names in the robot's file. In compiled models, a joint is called `ROBOT/JOINT`,
+which is split at the first slash. Routes use identifiers instead: `left_j1` stands for `left/j1`.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 
 from ...base.errors import mismatch
 
-BASE = "base"  # parent of joints without a parent joint
+BASE = "base"  # entry of `parents` for joints without a parent joint
 MAX_LENGTH = 200  # characters
 
 
@@ -27,7 +27,7 @@ def is_joint_name(name: str) -> str:
 
 
 def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Returns valid and unique names of joints, and a description of each change."""
+    """Returns joint names, made valid and unique, and a description of each change."""
     found: list[str] = []
     changed = []
     for name in names:
@@ -44,13 +44,16 @@ def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
 
 
 def identifier(name: str) -> str:
-    """Returns a joint's name in routes, with `_` for other characters: `left_j1` for `left/j1`."""
+    """Returns the name of a joint in routes, such as `left_j1` for `left/j1`."""
     plain = re.sub(r"[^A-Za-z0-9_-]+", "_", name)
     return plain if re.match(r"[A-Za-z_]", plain) else f"_{plain}"
 
 
 def identifiers(names: Sequence[str]) -> dict[str, int]:
-    """Returns joint indices by identifier, without ambiguous identifiers and names of joints."""
+    """Returns a mapping from identifiers to joint indices.
+
+    It does not contain identifiers that are ambiguous or are names of joints.
+    """
     found = [identifier(name) for name in names]
     return {each: k for k, each in enumerate(found) if found.count(each) == 1 and each not in names}
 
@@ -58,8 +61,8 @@ def identifiers(names: Sequence[str]) -> dict[str, int]:
 def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
     """Returns the entries of `parents` in a robot file.
 
-    `links` has the parent link of each joint: 0 for the base, i for joint i. A joint that is called
-    `base` is referred to by its link, such as `link2`.
+    `links` contains the parent link of each joint: 0 for the base, and i for the link of joint i. A
+    joint with the name `base` is referred to by its link, such as `link2`.
     """
     return [
         BASE if not link else f"link{link}" if names[link - 1] == BASE else names[link - 1]
@@ -68,7 +71,7 @@ def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
 
 
 def link_of_parent(parent: str, names: Sequence[str]) -> int | None:
-    """Returns the parent link of an entry of `parents`, see `parents_of`; None if unknown."""
+    """Returns the link of an entry of `parents`, see `parents_of`, or None if it is unknown."""
     if parent == BASE:
         return 0
     if parent in names:

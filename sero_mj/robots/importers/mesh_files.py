@@ -1,16 +1,17 @@
 """Reads mesh files as pieces of one color each, in formats that MuJoCo reads.
 
-STL and OBJ files are passed on unchanged if MuJoCo accepts them. COLLADA is read by pycollada,
-formats of extensions by their readers, and everything else by trimesh. OBJ files are checked here,
-because trimesh takes 0.3 s to import and four times as long to read them, and gives no material to
-faces before the first `usemtl`.
+STL and OBJ files are not converted if MuJoCo accepts them. COLLADA is read by pycollada, formats of
+extensions by their own readers, and all other formats by trimesh. OBJ files are checked here,
+because trimesh takes 0.3 s to import, needs four times as long to read them, and assigns no
+material to faces before the first `usemtl`.
 
 The up axis of a file is ignored, because RViz and Gazebo ignore it and most exporters do not write
 the true axis. A textured material gets the mean color of its image.
 
-Transparency follows each format: `d` and `Tr` of OBJ materials (`Tr` = 1 - `d`), alpha in PLY, OFF,
-3MF and VRML, and alphaMode of glTF materials. Some exporters write the opposite of what COLLADA
-specifies, so its transparency is logged. Invisible materials of OBJ and COLLADA become opaque.
+Transparency follows the specification of each format: `d` and `Tr` of OBJ materials
+(`Tr` = 1 - `d`), alpha in PLY, OFF, 3MF and VRML, and alphaMode of glTF materials. Some exporters
+write the opposite of what COLLADA specifies, so transparency of COLLADA files is logged. Invisible
+materials of OBJ and COLLADA become opaque.
 """
 
 from __future__ import annotations
@@ -37,16 +38,16 @@ from ...base.frames import Array, Ints
 from ...base.paths import read_file
 from ...base.plugins import MESHES, load_plugin, plugins
 
-_BY_MUJOCO = (".stl", ".obj", ".msh")  # formats that MuJoCo reads
+_BY_MUJOCO = (".stl", ".obj", ".msh")  # extensions of formats that MuJoCo reads
 _CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
 MAX_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
 MAX_CONVERTED_BYTES = 100_000_000  # of other files; conversion takes up to 30 times the memory
 _MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
-_MAX_IMAGE_BYTES = 50_000_000  # of a texture
-_MAX_CACHE_BYTES = 150_000_000  # of meshes with their vertices
+_MAX_IMAGE_BYTES = 50_000_000  # maximum size of a texture file
+_MAX_CACHE_BYTES = 150_000_000  # maximum size of cached meshes, including vertices
 _VERTEX = re.compile(rb"^[ \t]*v[ \t]+(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.MULTILINE)
-_FLATNESS = 1e-5  # thickness over length
-_INVISIBLE = 0.01  # opacity
+_FLATNESS = 1e-5  # ratio of thickness to length below which a mesh is flat
+_INVISIBLE = 0.01  # opacity below which a material is invisible
 _CUTOFF = 0.5  # default of alphaCutoff in glTF
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 
@@ -56,11 +57,11 @@ Rgba = tuple[float, float, float, float]
 
 
 def mesh_endings() -> tuple[str, ...]:
-    """Returns the extensions of mesh files, with their dots.
+    """Returns the extensions of all supported mesh files, including the dots.
 
-    A package adds a format by an entry point in the group `sero_mj.meshes` with the name of the
-    extension without its dot. This is a function of a path that returns, for every color, vertices
-    (v, 3), triangles (f, 3), and RGBA (4,) or None.
+    A package adds a format with an entry point in the group `sero_mj.meshes`, whose name is the
+    extension without the dot. It refers to a function that reads a path and returns, for every
+    color, vertices (v, 3), triangles (f, 3), and RGBA (4,) or None.
     """
     return (*_BY_MUJOCO, *_CONVERTED, *(f".{name}" for name in plugins(MESHES)))
 
@@ -99,7 +100,7 @@ class MeshPiece:
 
 def _points_of_obj(contents: bytes) -> Array:
     lines = re.findall(rb"\nv[ \t]([^\n]*)", contents)
-    # Fast if all vertices have 3 numbers, or 6 with a color. Other text ends parsing.
+    # This is fast if all vertices have 3 numbers, or 6 with a color. Other text ends parsing.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         values = np.fromstring(b" ".join(lines), sep=" ")
@@ -118,11 +119,11 @@ _lock = threading.Lock()
 def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
     """Reads a mesh file, and caches the result until the file changes.
 
-    Lengths are in m if the file declares its unit, and unconverted otherwise.
+    Lengths are converted to m if the file declares a unit. Otherwise they are not converted.
 
     Raises:
-        DeclarationError: the file is missing or too large, has an unknown format, or has no
-            drawable triangles.
+        DeclarationError: the file is missing or too large, has an unknown format, or contains no
+            triangles that can be drawn.
     """
     ending = path.suffix.lower()
     if ending not in (known := mesh_endings()):
@@ -186,7 +187,7 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
 
 
 def _is_binary(contents: bytes) -> bool:
-    """Whether an STL file is binary. Binary files may begin with `solid`, too."""
+    """Returns whether an STL file is binary. Binary files may also begin with `solid`."""
     return len(contents) >= 84 and b"\0" in contents[:1000]
 
 
@@ -226,12 +227,12 @@ def without_bom(text: bytes) -> bytes:
 
 
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
-    """Returns vertex indices of all triangles of an OBJ file; None if there are other faces.
+    """Returns the vertex indices of all triangles of an OBJ file, or None if it has other faces.
 
-    Negative indices count from the last of `count` vertices.
+    Negative indices count backward from the last of `count` vertices.
     """
     text = b" ".join(re.findall(rb"\nf[ \t]([^\n]*)", contents))
-    # A corner is `vertex/texture/normal`, and the latter two may be missing. In most files all
+    # A corner is `vertex/texture/normal`, where texture and normal are optional. In most files, all
     # corners have the same form. Otherwise every corner is parsed separately.
     numbers = _integers(text.replace(b"/", b" "))
     if numbers is None:
@@ -303,7 +304,7 @@ def _material_files(path: Path, contents: bytes) -> list[Path]:
     folder, files = path.parent, list[Path]()
     for line in _statements(contents, b"mtllib"):
         whole = line.decode("utf-8", "replace").replace("\\", "/")
-        for names in ([whole], whole.split()):  # spaces separate names, or belong to one
+        for names in ([whole], whole.split()):  # spaces separate names, or are part of a name
             found = [each for name in names if (each := _existing(folder / name)) is not None]
             if found:
                 files += found
@@ -332,7 +333,7 @@ def _opacity_of_obj(material: dict[bytes, bytes]) -> float:
 def _visible(path: Path, name: bytes | str, color: Rgba, alpha: float) -> Rgba:
     if not alpha > _INVISIBLE:  # NaN as well
         name = name if isinstance(name, str) else name.decode("utf-8", "replace")
-        log.warning("mesh %s: material '%s' would be invisible and is drawn opaque", path, name)
+        log.warning("mesh %s: material '%s' would be invisible, so it is drawn opaque", path, name)
         return color
     return (*color[:3], round(min(alpha, 1.0), 4))
 
@@ -369,7 +370,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
     read = _extension_parts if of_extension else _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # from libraries about their dependencies
+            warnings.simplefilter("ignore")  # warnings of libraries about their dependencies
             parts = read(path, ending, contents)
     except DeclarationError:
         raise
@@ -377,7 +378,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
         raise _wrong(path, f"reading {ending} requires the package '{error.name}'") from error
     except RecursionError:
         raise _wrong(path, "is nested too deeply") from None
-    except Exception as error:  # libraries raise anything for an invalid file
+    except Exception as error:  # libraries raise any exception for invalid files
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise _wrong(path, f"cannot be read: {reason}") from error
     by_color: dict[Rgba | None, list[_Part]] = {}
@@ -417,7 +418,10 @@ def _joined(parts: list[_Part]) -> _Part:
 
 
 def _as_msh(part: _Part) -> bytes:
-    """MuJoCo's binary format: four counts, vertices, normals, texture coordinates, faces."""
+    """Returns a mesh in MuJoCo's binary format.
+
+    It consists of four counts, vertices, normals, texture coordinates and faces.
+    """
     used, faces = np.unique(part.faces, return_inverse=True)
     normals = None if part.normals is None else part.normals[used]
     counts = struct.pack("<4i", len(used), 0 if normals is None else len(used), 0, len(part.faces))
@@ -513,7 +517,7 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
 
 
 def _collada_opacity(effect: Any) -> float:
-    """Returns the opacity of an effect by COLLADA 1.5, section Determining Transparency."""
+    """Returns the opacity of an effect as in COLLADA 1.5, section Determining Transparency."""
     nodes = {key: effect.xmlnode.find(f".//{{*}}{key}") for key in ("transparent", "transparency")}
     if all(node is None for node in nodes.values()) or hasattr(effect.transparent, "sampler"):
         return 1.0
@@ -574,7 +578,7 @@ _MATERIALS = "materials"  # replaces the name of a material file
 def _numbered_materials(path: Path, contents: bytes) -> tuple[bytes, dict[str, Rgba]]:
     """Returns an OBJ file with numbered materials, and the known colors by number.
 
-    trimesh does not find all material files and names; so it only distinguishes the numbers.
+    trimesh does not find all material files and names, so it only has to distinguish numbers.
     """
     contents = b"\n" + without_bom(contents)
     known = _material_colors(path, contents)

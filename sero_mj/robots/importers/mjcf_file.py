@@ -16,18 +16,18 @@ from ...base.errors import Problem
 from ...base.paths import format_of_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
-_MAX_BYTES = 100_000_000  # of an MJCF file
+_MAX_BYTES = 100_000_000  # maximum size of an MJCF file
 _MAX_ELEMENTS = 20_000  # MuJoCo takes quadratic time: 8 s for 40,000 geoms
 _ELEMENT = re.compile(rb"<(?:geom|body|site)\b")
 _REPEATED = re.compile(rb"""<replicate\b[^>]*?\bcount\s*=\s*["']\s*(\d+)""")
 _INCLUDED = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
-MAX_ASSET_BYTES = 500_000_000  # of a texture or a mesh (ten million triangles)
+MAX_ASSET_BYTES = 500_000_000  # maximum size of a texture or mesh (ten million triangles)
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
-    """Reads a piece of MJCF, and stores the files it refers to in the spec.
+    """Reads MJCF, and stores the files that it refers to in the spec.
 
-    The source is a file name, text that starts with `<`, or an object that `is_mjcf_object`
+    The source is a file name, MJCF text that starts with `<`, or an object that `is_mjcf_object`
     accepts. The object is not changed.
     """
     try:
@@ -41,12 +41,12 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
         raise Problem("mjcf", f"cannot be read: {reason}").error() from error
     for k, body in enumerate(spec.bodies[1:]):
         if not body.name:
-            body.name = f"body{k + 1}"  # contact exclusion needs names
+            body.name = f"body{k + 1}"  # contact exclusion requires body names
     return spec
 
 
 def is_mjcf_object(source: Any) -> bool:
-    """Whether an object is an `MjSpec`, a `RootElement` of PyMJCF, or a composer entity."""
+    """Returns whether an object is an `MjSpec`, a PyMJCF `RootElement` or a composer entity."""
     root = _root_element(source)
     return isinstance(source, mujoco.MjSpec) or (
         hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
@@ -54,7 +54,7 @@ def is_mjcf_object(source: Any) -> bool:
 
 
 def is_file_name(source: Any) -> bool:
-    """Whether a piece of MJCF is a file name, and not text or an object."""
+    """Returns whether an MJCF source is a file name, and not text or an object."""
     return isinstance(source, str) and not source.lstrip().startswith("<")
 
 
@@ -80,7 +80,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
-    """Returns the included files by name. Raises ValueError for too many elements."""
+    """Returns a mapping from file names to included files. Raises ValueError for large models."""
     found: dict[str, bytes] = {}
     waiting, count = [text], 0
     while waiting:
@@ -92,7 +92,7 @@ def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
             )
         names = {name.decode("utf-8", "replace") for name in _INCLUDED.findall(part)}
         for name in names - found.keys():
-            if (folder / name).is_file():  # else MuJoCo reports it
+            if (folder / name).is_file():  # otherwise MuJoCo reports the missing file
                 found[name] = read_file(folder / name, _MAX_BYTES)
                 waiting.append(found[name])
     return found
@@ -120,7 +120,7 @@ def _stored(spec: mujoco.MjSpec, folder: str, file: str) -> str:
 
 
 def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | None = None) -> str:
-    """Stores a file in the assets of a spec, and returns its name there.
+    """Stores a file in the assets of a spec, and returns the name of the asset.
 
     The name is unique across folders, so that specs can be attached to each other.
     """
@@ -155,7 +155,8 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
 def _full_precision() -> Iterator[None]:
     """Makes MuJoCo write numbers with 17 digits instead of six within the context.
 
-    MuJoCo 4.0.0 has no public function for this. If the private one is missing, six are written.
+    MuJoCo 4.0.0 has no public function for this. If the private one is missing, six digits are
+    written.
     """
     folder = Path(mujoco.__file__).parent
     files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))

@@ -1,4 +1,4 @@
-"""Reads a compiled MuJoCo model: the robot in it, its joints, links, poses and torque limits."""
+"""Finds the robot in a compiled MuJoCo model, with its joints, links, poses and torque limits."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _OF_TENDON = int(mujoco.mjtTrn.mjTRN_TENDON)
 _OF_SITE = (int(mujoco.mjtTrn.mjTRN_SITE), int(mujoco.mjtTrn.mjTRN_SLIDERCRANK))
 _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 _GRAVITY = 9.81  # m/s2
-_SQUARE = 1e-6  # largest cosine between perpendicular axes
+_SQUARE = 1e-6  # maximum cosine between perpendicular axes
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _FIXED_GAIN = int(mujoco.mjtGain.mjGAIN_FIXED)
 _NO_BIAS, _AFFINE_BIAS = int(mujoco.mjtBias.mjBIAS_NONE), int(mujoco.mjtBias.mjBIAS_AFFINE)
@@ -34,15 +34,16 @@ _WIDE = np.pi  # rad or m; range of these poses around `qpos0` for joints withou
 class MjcfTree:
     """A robot in a compiled model, in its reference pose (`qpos0`).
 
-    Every hinge and slide becomes a joint of the robot with its own link. If a body has several
-    joints, it belongs to the last link, and the preceding links are empty. The base consists of the
-    bodies fixed to the world, or of the root body if that has a free joint. If the model has
-    actuators, only the trees that they drive belong to the robot.
+    Every hinge and slide becomes a joint of the robot with its own link. A body with several joints
+    belongs to the link of its last joint, and the links of its other joints are empty. The base
+    consists of the bodies fixed to the world, or of the root body if that has a free joint. If the
+    model has actuators, only the trees that they drive belong to the robot.
 
     Attributes:
-        joints: ids of its hinges and slides, shape (n,), depth first.
+        joints: ids of the robot's hinges and slides, shape (n,), depth first.
         parents: index of each joint's parent link, shape (n,); 0 is the base.
-        links: link of every body, shape (nbody,); 0 is the base, -1 a body outside the robot.
+        links: index of each body's link, shape (nbody,); 0 is the base, -1 a body outside the
+            robot.
         bodies: T_world_body of every body in the reference pose, shape (nbody, 4, 4).
         poses: T_world_link of base and links in the reference pose, shape (n + 1, 4, 4). The z axis
             of a link is the axis of its joint.
@@ -66,7 +67,7 @@ class MjcfTree:
 
     @property
     def geoms(self) -> Ints:
-        """Ids of its geoms, except planes of the world."""
+        """Ids of the robot's geoms, except planes of the world."""
         model = self.model
         mine = self.links[model.geom_bodyid] >= 0
         mine &= ~((model.geom_bodyid == 0) & (model.geom_type == _PLANE))
@@ -85,7 +86,7 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
     joints = np.flatnonzero(mine).astype(np.intp)
     if not len(joints):
         message = (
-            "found no hinge and no slide; expected a robot with joints. Add a rigid body to a "
+            "has no hinge and no slide; expected a robot with joints. Add a rigid body to a "
             "scene as an object with mjcf = ..."
         )
         raise NoJoints([Problem("mjcf", message)])
@@ -114,7 +115,7 @@ def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_bo
 
 
 def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Array) -> Array:
-    """Returns `SerialRobot.joint_frames`, shape (n, 4, 4), from `link_poses` at `qpos0`."""
+    """Returns `SerialRobot.joint_frames`, shape (n, 4, 4), from the `link_poses` at `qpos0`."""
     fixed: Array = inverse(poses[parents]) @ poses[1:]
     back = np.tile(np.eye(4), (len(joints), 1, 1))  # joint values of MuJoCo start at `ref`
     ref = model.qpos0[model.jnt_qposadr[joints]]
@@ -138,9 +139,10 @@ def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[s
 
 
 def _planar_base(model: mujoco.MjModel, mine: Array) -> list[int]:
-    """Returns the two slides and the hinge of a passive planar base at the root body, if any.
+    """Returns the two slides and the hinge of a passive planar base, or an empty list.
 
-    Joints that are driven, limited, sprung or not perpendicular belong to the robot instead.
+    These are joints of the root body. Joints that are driven, limited, sprung or not perpendicular
+    belong to the robot instead.
     """
     roots = np.unique(model.body_rootid[model.jnt_bodyid[mine]])
     if len(roots) != 1 or model.body_jntnum[roots[0]] != 3:
@@ -181,7 +183,7 @@ def driven_roots(model: mujoco.MjModel) -> set[int]:
 def read_links(
     model: mujoco.MjModel, joints: Ints, base_body: int = 0, left_out: Collection[int] = ()
 ) -> tuple[Ints, Ints, Ints]:
-    """Returns the link of every body, the parent link of every joint, and the joints in this order.
+    """Returns the link of every body, the parent link of every joint, and the ids of these joints.
 
     Bodies in `left_out` and their descendants have link -1, and their joints are omitted.
     """
@@ -221,7 +223,9 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     held = held[links[model.jnt_bodyid[held]] >= 0]
     if len(held):
         what = names(mujoco.mjtObj.mjOBJ_JOINT, held)
-        sentences.append(f"ball joints are fixed, because they have no single axis: {what}")
+        sentences.append(
+            f"ball joints become fixed joints, because they have no single axis: {what}"
+        )
     others = np.flatnonzero(links[1:] < 0) + 1
     if len(others):
         what = names(mujoco.mjtObj.mjOBJ_BODY, others)
@@ -246,7 +250,7 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
             )
     gravity = float(np.linalg.norm(model.opt.gravity))
     if gravity and abs(gravity / _GRAVITY - 1.0) > 0.1:
-        text = f"gravity is {gravity:g} instead of {_GRAVITY:g} m/s2; the units may not be SI"
+        text = f"gravity is {gravity:g} instead of {_GRAVITY:g} m/s2, so the units may not be SI"
         sentences.append(text)
     of_joints = (int(mujoco.mjtEq.mjEQ_JOINT), int(mujoco.mjtEq.mjEQ_TENDON))  # see `mjcf_robot`
     loops = [i for i in range(model.neq) if int(model.eq_type[i]) not in of_joints]
@@ -257,11 +261,11 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
 
 
 def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the largest torques that actuators can exert on joints (ids), shape (n,), Nm or N.
+    """Returns the maximum torques of actuators on joints with these ids, shape (n,), Nm or N.
 
     The limit is infinite for joints without actuators, and for actuators without `forcerange` whose
     force depends on position or velocity, such as position servos. If moment arms depend on the
-    pose (spatial tendons, slider-cranks and sites), it is the largest torque in 64 poses.
+    pose (spatial tendons, slider-cranks and sites), the limit is the maximum torque in 64 poses.
 
     MuJoCo (`mj_fwdActuation`) clamps a control to `ctrlrange`, an activation to `actrange`, an
     actuator's force to `forcerange`, the total force of a tendon's actuators to the tendon's
@@ -300,7 +304,7 @@ def _forces(model: mujoco.MjModel) -> Array:
         if model.tendon_actfrclimited[tendon]:
             low, high = model.tendon_actfrcrange[tendon]
             inside = np.clip(forces[rows], low, high)
-            # As in MuJoCo, a sum outside the range scales all forces by the same factor.
+            # As in MuJoCo, all forces are scaled by the same factor if their sum exceeds the range.
             total = inside.sum(axis=0)
             scale = np.divide(np.clip(total, low, high), total, where=total != 0, out=np.ones(2))
             forces[rows] = inside * scale

@@ -34,7 +34,7 @@ from .robot_tree import (
 
 _INITIAL_KEYS = ("home", "stand", "init", "default")  # keyframes for the initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
-_MAX_FACTOR = 10  # largest plausible torque limit over the torque that holds the whole weight
+_MAX_FACTOR = 10  # maximum plausible ratio of a torque limit to the torque that holds the robot
 _TOLERANCE = 1e-4  # rad or m
 # Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
 _DOF_FIELDS = {
@@ -49,7 +49,7 @@ _WRAPS_JOINT = int(mujoco.mjtWrap.mjWRAP_JOINT)
 
 
 def read_mjcf(path: Path) -> ImportedTables:
-    """Reads the robot of an MJCF file. Raises NoJoints if no joint is movable."""
+    """Reads the robot of an MJCF file. Raises NoJoints if the file has no movable joint."""
     try:
         tables, lost = mjcf_tables(path.name, path.parent)
     except DeclarationError as error:
@@ -59,7 +59,7 @@ def read_mjcf(path: Path) -> ImportedTables:
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Returns the tables of the robot in a piece of MJCF, and a warning for each lost element."""
+    """Returns the tables of the robot in an MJCF source, and a warning for each lost element."""
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints
     revolute = _turns(tree)
@@ -143,11 +143,11 @@ def _link_frames(tree: MjcfTree) -> dict[str, Any]:
 
 
 def tree_of(source: Any, folder: Path) -> MjcfTree:
-    """Compiles a piece of MJCF, see `as_spec`, and returns the robot in it."""
+    """Compiles an MJCF source, see `as_spec`, and returns the robot in it."""
     spec = as_spec(source, folder)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # about deprecated attributes
+            warnings.simplefilter("ignore")  # warnings about deprecated attributes
             tree = find_tree(spec.compile())
     except DeclarationError:
         raise
@@ -242,7 +242,8 @@ def _turns(tree: MjcfTree) -> Bools:
 def _flange(tree: MjcfTree) -> tuple[int, Array]:
     """Returns the link that carries the flange, and T_link_flange.
 
-    The flange is at a site of this link with the name of a tool, or else at its last body.
+    The flange is at a site of this link whose name is that of a tool, or else at the last body of
+    the link.
     """
     model = tree.model
     link = flange_body(tree.parents.tolist())
@@ -269,7 +270,7 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
-    for _ in couplings:  # a chain of couplings may contain all of them
+    for _ in couplings:  # a chain of couplings may contain all couplings
         for name, coupling in couplings.items():
             q[names.index(name)] = coupling["ratio"] * q[names.index(coupling["to"])]
             q[names.index(name)] += coupling["offset"]
@@ -296,16 +297,17 @@ def _free_base(tree: MjcfTree) -> dict[str, Any]:
 
 
 def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
-    """Returns the couplings by coupled joint; adds a sentence to `lost` for other constraints.
+    """Returns a mapping from coupled joints to couplings.
 
     MuJoCo constrains `y - y0 = p(x - x0)`, where y and x are two joint values or tendon lengths, y0
-    and x0 their values at `qpos0`, and p a polynomial. Without x it is `y - y0 = p(0)`. The length
-    of a fixed tendon is a weighted sum of joint values. Source:
+    and x0 are their values at `qpos0`, and p is a polynomial. If there is no x, the constraint is
+    `y - y0 = p(0)`. The length of a fixed tendon is a weighted sum of joint values. Source:
     https://mujoco.readthedocs.io/en/stable/XMLreference.html#equality-joint
 
     A constraint is a coupling if it is linear in two joints of the robot. The first joint follows
     the second one, unless only the first one has an actuator or already follows another joint. In a
-    tendon, a joint follows the joints before it.
+    tendon, a joint follows the joints before it. For all other constraints, a sentence is added to
+    `lost`.
     """
     model, found = tree.model, dict[str, Any]()
     ref = model.qpos0[model.jnt_qposadr[tree.joints]]
@@ -322,7 +324,7 @@ def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, A
             if _leads_back(found, names, first, second):
                 first, second = second, first
             if _leads_back(found, names, first, second):
-                reason = "they are coupled already"
+                reason = "the joints are already coupled"
         if reason:
             who = ", ".join(names[k] for k in sorted(joints)) or f"number {i}"
             lost.append(f"the constraint of {who} is left out: {reason}")
@@ -334,10 +336,10 @@ def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, A
 
 
 def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
-    """Returns a constraint's joints, follower first, their factors (n,), and why it is no coupling.
+    """Returns a constraint's joints, follower first, their factors (n,), and an error message.
 
-    The sum of factors times (q - qpos0) equals the first coefficient of the polynomial. The reason
-    is empty if the constraint is a coupling.
+    The sum of factors times (q - qpos0) equals the first coefficient of the polynomial. The message
+    is the reason why the constraint is not a coupling, or empty if it is one.
     """
     model = tree.model
     items = model.eq_obj1id[equality], model.eq_obj2id[equality]
@@ -364,7 +366,10 @@ def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
 
 
 def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float]:
-    """Returns the weights of joints in a side of a constraint by id; empty for spatial tendons."""
+    """Returns a mapping from joint ids to weights in one side of a constraint.
+
+    The mapping is empty for spatial tendons.
+    """
     if item < 0:
         return {}
     if model.eq_type[equality] == _OF_JOINTS:

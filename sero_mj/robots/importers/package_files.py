@@ -30,14 +30,14 @@ _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 
 def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = None) -> Path | None:
-    """Returns the file that a robot description refers to; None if it does not exist.
+    """Returns the path of a file that a robot description refers to, or None if it does not exist.
 
     Args:
         name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
             path. Relative paths are searched for in the folder of the description and in the
             folders above it. Case is ignored if there is no exact match.
         beside: file of the robot description.
-        packages: folders of packages by name; these take precedence.
+        packages: mapping from package names to folders, which take precedence over other folders.
     """
     if "\0" in name:
         return None
@@ -64,7 +64,7 @@ def _in_other_case(path: Path) -> Path | None:
 
 
 def package_of(name: str) -> str | None:
-    """Returns the package in the name of a file; None if there is none."""
+    """Returns the package in the name of a file, or None if it contains no package."""
     if (sought := _FIND.match(name)) is not None:
         return sought[1]
     found = _SCHEME.match(name)
@@ -86,7 +86,7 @@ def _candidates(name: str, beside: Path, packages: Mapping[str, Path]) -> Iterat
         package, _, inside = rest.partition("/")
         inside = inside.lstrip("/")
         yield from (folder / inside for folder in package_folders(package, beside, packages))
-        # The package may be in a folder with another name.
+        # The package may be in a folder with a different name.
         yield from (above / inside for above in _above(beside))
     elif not kind:
         yield from (above / rest for above in _above(beside))
@@ -97,8 +97,8 @@ def package_folders(
 ) -> Iterator[Path]:
     """Yields the possible folders of a package in order of precedence.
 
-    These are the entry of `packages`, the folders above the file `beside`, and the folders in the
-    environment variables of ROS and Gazebo.
+    The folders are the package's entry in `packages`, the folders above the file `beside`, and the
+    folders in the environment variables of ROS and Gazebo.
     """
     if packages and package in packages:
         yield Path(packages[package])

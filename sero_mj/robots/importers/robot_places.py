@@ -1,7 +1,7 @@
-"""Places where robots are found by names that are neither files nor shipped robots.
+"""Finds robots by names that are neither files nor shipped robots.
 
-Built in are the package `robot_descriptions`, MuJoCo Menagerie and ROS packages. Other packages add
-a `RobotPlace` by an entry point in the group `sero_mj.robots`.
+Built-in places are the package `robot_descriptions`, MuJoCo Menagerie and ROS packages. Other
+packages add a `RobotPlace` with an entry point in the group `sero_mj.robots`.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class RobotPlace(ABC):
     """A place where robots are found by name.
 
     Attributes:
-        none: text shown instead of names if there are none.
+        none: text that is shown instead of names if no names are known.
         order: search priority, lowest first. Built-in places use 10 to 90.
     """
 
@@ -65,7 +65,7 @@ class RobotPlace(ABC):
 
     @abstractmethod
     def find(self, name: str) -> Path | None:
-        """Returns the file of a robot; None if the name is unknown.
+        """Returns the file of a robot, or None if the name is unknown.
 
         Raises SeroError if the robot is known but not available.
         """
@@ -78,8 +78,8 @@ class RobotPlace(ABC):
 class RobotDescriptions(RobotPlace):
     """The package `robot_descriptions`, which clones repositories of robots into a cache.
 
-    A robot has the name of its module, such as `ur5e_description`. Shorter names are not accepted,
-    because downloads can have hundreds of megabytes.
+    The name of a robot is the name of its module, such as `ur5e_description`. Shorter names are not
+    accepted, because downloads can have hundreds of megabytes.
     """
 
     order: ClassVar[int] = 90
@@ -104,7 +104,7 @@ class RobotDescriptions(RobotPlace):
         except Exception as error:  # from git, the network or the package
             reason = " ".join(str(error).split())[:300]
             raise UsageError(
-                f"{module}: robot_descriptions cannot fetch it: {type(error).__name__}: {reason}"
+                f"robot_descriptions cannot fetch {module}: {type(error).__name__}: {reason}"
             ) from error
         for attribute in ("URDF_PATH", "MJCF_PATH"):
             if (path := getattr(found, attribute, None)) is not None:
@@ -137,8 +137,8 @@ def _wrapped(module: str, found: Any) -> Path:
 class Menagerie(RobotPlace):
     """A clone of MuJoCo Menagerie in `$MENAGERIE_PATH` or in the folder `mujoco_menagerie`.
 
-    A robot has the name of its folder, with or without the manufacturer: `universal_robots_ur5e` or
-    `ur5e`.
+    The name of a robot is the name of its folder, with or without the manufacturer, such as
+    `universal_robots_ur5e` or `ur5e`.
     """
 
     order: ClassVar[int] = 20
@@ -168,7 +168,7 @@ def _menagerie() -> list[Path]:
 
 
 class OtherSpellings(RobotPlace):
-    """Shipped robots by names that manufacturers and drivers use: `franka_research_3`, `UR5e`."""
+    """Shipped robots under names of manufacturers and drivers, such as `franka_research_3`."""
 
     order: ClassVar[int] = 30
     title: ClassVar[str] = "other spellings of shipped robots"
@@ -183,7 +183,7 @@ class OtherSpellings(RobotPlace):
 
 
 class RosPackages(RobotPlace):
-    """ROS packages of the environment: `package://ur_description/urdf/ur.urdf.xacro`."""
+    """Robots in ROS packages, such as `package://ur_description/urdf/ur.urdf.xacro`."""
 
     order: ClassVar[int] = 10
     title: ClassVar[str] = "ROS packages"

@@ -33,7 +33,7 @@ def robot_text(
         "torques in Nm (prismatic joints: forces in N). Links joined by fixed joints are merged.",
     ]
     if described.warnings:
-        lines += ["", "Differences from that file:"]
+        lines += ["", "Differences from the original file:"]
         lines += [f"- {warning}" for warning in described.warnings]
     text.lines += [_SCHEMA, *(f"# {line}".rstrip() for line in lines)]
     text.add_kinematics(flange, limbs)
@@ -87,8 +87,8 @@ class _RobotText:
             frames = [frame_table(T) for T in self._tables["joint_frames"]]
             self._rows("joint_frames", frames, self._of_joints, about)
         self._given("joint_names", "joint_types")
-        self._given("link_names", about="link names in that file, base first")
-        self._given("parents", about="the joint whose link carries each joint")
+        self._given("link_names", about="link names in the original file, base first")
+        self._given("parents", about="for each joint, the joint whose link carries it")
         self._given("flange_on", about="the joint whose link carries the flange")
         self._frame("flange_frame", flange)
         self._given("free_base", "base_joint", "base_normal")
@@ -104,12 +104,12 @@ class _RobotText:
             if key in self._tables:
                 self._rows(key, self._tables[key], self._names, about)
         self._given("joint_angles", about="initial pose, because zero is outside the limits")
-        self._given("fit_arrows", about="fit the size of each arrow to the adjacent links")
+        self._given("fit_arrows", about="whether arrow sizes are fitted to the adjacent links")
 
     def add_geometry(self) -> None:
         self.lines.append("")
         self._given("directory")
-        self._given("mjcf", about="visual and collision geoms; the joints are the same")
+        self._given("mjcf", about="visual and collision geoms, with the same joints")
         for key, about in (
             ("filenames", "visual shapes"),
             ("collisions", "collision shapes"),
@@ -173,7 +173,7 @@ def _rounded(value: Any) -> Any:
 
 
 def frame_table(T: Any) -> dict[str, list[float]]:
-    """Returns a frame (4, 4) as in files: `xyz` and `quat`, without zero parts."""
+    """Returns a frame (4, 4) as a table of `xyz` and `quat`, each only if it is not zero."""
     T = np.asarray(T, np.float64)
     table = {}
     if (np.abs(T[:3, 3]) > _ZERO).any():
@@ -184,10 +184,10 @@ def frame_table(T: Any) -> dict[str, list[float]]:
 
 
 def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
-    """Returns tables whose mesh files `copy` has copied to a folder `meshes`.
+    """Returns tables whose meshes are in a folder `meshes`, to which `copy` copies the files.
 
     Args:
-        copy: called with each file and its name in that folder.
+        copy: function that is called with each file and the file's name in the folder.
     """
     result = dict(tables)
     folder = Path(result.get("directory", ""))

@@ -1,8 +1,8 @@
 """Converts a tree of links and joints, as in URDF, to the tables of a robot file.
 
 Links that are fixed to each other are merged, with their inertias and geometries. The result is a
-base and one link per movable joint; the z axis of a link's frame is the joint axis. A chain gets a
-Denavit-Hartenberg table if possible, other trees the frames of their joints.
+base and one link per movable joint. The z axis of a link's frame is the joint axis. A chain is
+described by a Denavit-Hartenberg table if possible. Other trees are described by joint frames.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ _FLANGES = (
     "tool0", "flange", "tcp", "tool_center_point", "ee_link", "end_effector", "eef", "ee", "tool",
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
-_MAX_LENGTH_RATIO = 10.0  # largest length of a DH table over the reach
+_MAX_LENGTH_RATIO = 10.0  # maximum ratio of a length in a DH table to the reach
 _MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative, as in `robots.declared.dynamics`
-NO_LIMIT = 1e3  # rad or m; larger limits mean no limit
+NO_LIMIT = 1e3  # rad or m; position limits of this size and more are ignored
 TOO_FAR = f"limits of {NO_LIMIT:g} rad or m and more are ignored"
 
 
 def flange_body(parents: Sequence[int]) -> int:
     """Returns the body that carries the flange: the end of the longest branch, or a gripper.
 
-    `parents` are the parents of bodies 1, 2, ...; 0 is the base.
+    `parents` contains the parent of each body 1, 2, ..., where 0 is the base.
     """
     paths = [[0]]  # from the base to each body
     for body, parent in enumerate(parents, 1):
@@ -51,13 +51,13 @@ def flange_body(parents: Sequence[int]) -> int:
 
 @dataclass
 class Geometry:
-    """A mesh or a shape.
+    """A mesh or a primitive shape.
 
     Attributes:
         file: absolute path of the mesh; None for a shape.
         shape: `box`, `sphere`, `cylinder` or `capsule`.
         size: see `robots.declared.surroundings.SHAPE_SIZES`.
-        color: name and rgba.
+        color: name and RGBA values of the color.
     """
 
     frame: Array
@@ -72,7 +72,7 @@ class Geometry:
 
 @dataclass
 class UrdfLink:
-    """A link, with the center of mass (3,) and the inertia tensor (3, 3) about it."""
+    """A link with its center of mass (3,) and the inertia tensor (3, 3) about this center."""
 
     name: str
     line: int | None = None
@@ -88,9 +88,9 @@ class Joint:
     """A joint.
 
     Attributes:
-        kind: `revolute`, `prismatic` or `fixed`.
+        kind: joint type: `revolute`, `prismatic` or `fixed`.
         frame: T_parent_child at joint value zero.
-        mimic: name of the followed joint, ratio and offset.
+        mimic: name of the followed joint, with the ratio and the offset.
     """
 
     name: str
@@ -117,7 +117,7 @@ class _Body:
     joint: Joint | None
     parent: int
     T_parent: Array  # T_parent_body at joint value zero; z is the joint axis
-    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # and T_body_link
+    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # links with T_body_link
     fixed: dict[str, str] = field(default_factory=dict)  # parents of fixed links
 
 
@@ -126,7 +126,8 @@ class TreeTables:
 
     Attributes:
         bodies: names of the links of every body, base first.
-        T_body_link: body and T_body_link (4, 4) of every link by name, in the frames of `tables`.
+        T_body_link: mapping from link names to the body and T_body_link (4, 4), in the frames of
+            `tables`.
     """
 
     def __init__(
@@ -150,7 +151,7 @@ class TreeTables:
         carrier, self.flange, T_flange = self._flange()
         if self.joints:
             self._kinematics(carrier, T_flange)
-        # From the frames of the bodies to the frames of the tables.
+        # Transformations from the frames of the bodies to the frames of the tables.
         self._carried = [np.eye(4) for _ in self._bodies]
         if self._in_dh is not None:
             self._carried[1:] = list(self._in_dh.link_frames)
@@ -308,8 +309,8 @@ class TreeTables:
         if odd:
             dynamics["inertia_repair"] = "balance"
             self.warnings.append(
-                f"the inertia tensors of {', '.join(odd)}, with the links fixed to them, are "
-                "physically impossible; they are raised to the nearest possible tensors"
+                f"the inertia tensors of {', '.join(odd)}, including links fixed to them, are "
+                "physically impossible and are replaced by the closest possible tensors"
             )
 
     def _geometry(self) -> None:
@@ -421,7 +422,7 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
 
 
 def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
-    """Returns mass, center of mass, and inertia tensor about it of links with T_body_link."""
+    """Returns the total mass, center of mass and inertia tensor of links with T_body_link."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))

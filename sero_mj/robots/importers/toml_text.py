@@ -10,11 +10,11 @@ from typing import Any
 
 _WIDTH = 100
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_LONG_TEXT = 400  # characters; longer text is written over several lines
+_LONG_TEXT = 400  # characters; longer text is split into several lines
 
 
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
-    """Returns tables as TOML that begins with comment lines, declared without `#`."""
+    """Returns tables as TOML text after comment lines. `comments` contains no `#`."""
     lines = [f"# {line}".rstrip() for line in comments]
     plain = {key: value for key, value in tables.items() if not _is_section(value)}
     lines += [*([""] if lines and plain else []), *_entries(plain)]
@@ -39,7 +39,7 @@ def _section(name: str, value: Any) -> list[str]:
 
 
 def _body(name: str, table: Mapping[str, Any]) -> list[str]:
-    # Small inner tables are written inline, such as frames and couplings.
+    # Small inner tables, such as frames and couplings, are written inline.
     depth = len(re.findall(r'"[^"]*"|[^.]+', name))
     inner = {key: value for key, value in table.items() if _is_section(value)}
     small = {

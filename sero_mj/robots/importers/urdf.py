@@ -1,9 +1,10 @@
 """Reads URDF and xacro files as the tables of a robot file.
 
-Follows the URDF 1.0 specification (wiki.ros.org/urdf/XML) and tolerates common errors. Where the
-specification is silent, it follows other tools: colors of a mesh file override the `<material>`
-(RViz), and a range of zero means no limit (MuJoCo). All errors are reported together, with lines.
-MuJoCo's own reader supports neither COLLADA nor `package://`; yourdfpy reports no line numbers.
+The reader follows the URDF 1.0 specification (wiki.ros.org/urdf/XML) and tolerates common errors.
+For cases that the specification does not cover, it follows other tools: colors of a mesh file
+override the `<material>` (RViz), and a range of zero means no limit (MuJoCo). All errors are
+reported together, with line numbers. MuJoCo's own reader supports neither COLLADA nor `package://`,
+and yourdfpy reports no line numbers.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ from .robot_tree import (
 from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MAX_BYTES = 50_000_000
-_MAX_JOINTS = 128  # movable joints
+_MAX_JOINTS = 128  # maximum number of movable joints
 _MAX_LINKS = 10_000  # some steps take quadratic time
 _FREEING = ("floating", "planar")
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
@@ -66,16 +67,17 @@ def read_urdf(
 ) -> ImportedTables:
     """Reads a robot from a URDF file, or from a xacro file if the package `xacro` is installed.
 
-    Chains that have a DH table get one by Craig's convention; other robots get `joint_frames`.
+    Chains that can be described by a DH table get a table in Craig's convention. Other robots get
+    `joint_frames`.
 
     Args:
-        packages: folders of ROS packages by name, for `package://NAME/...`. Other packages are
-            searched for as in `package_folders`.
-        arguments: values of xacro arguments by name.
+        packages: mapping from names of ROS packages to folders, for `package://NAME/...`. Other
+            packages are searched for as described in `package_folders`.
+        arguments: mapping from names of xacro arguments to values.
 
     Raises:
         NoJoints: the file has no movable joint. Read it with `read_rigid_urdf`.
-        DeclarationError: all errors of the file, and unknown arguments.
+        DeclarationError: the file or the arguments are invalid. The exception lists all errors.
     """
     file = UrdfFile(Path(path), packages, arguments)
     file.check()
@@ -117,9 +119,9 @@ def _as_text(value: Any) -> str:
 
 
 class UrdfFile:
-    """A URDF file that is read by the constructor.
+    """A URDF file, which the constructor reads.
 
-    `convention` applies to the DH table, if there is one.
+    `convention` is the convention of the DH table, if the robot has one.
 
     Attributes:
         tree: the converted tree of links.
@@ -140,9 +142,9 @@ class UrdfFile:
         self._warnings: list[str] = []
         self._is_xacro, self._has_lines = False, True
         self._missing: dict[str, None] = {}  # names of missing mesh files
-        self._found: dict[str, Path | None] = {}  # mesh files by name
-        self._last_found: dict[str, Path] = {}  # folders of packages
-        self._unreadable: dict[Path, str] = {}  # errors of mesh files
+        self._found: dict[str, Path | None] = {}  # maps names to mesh files
+        self._last_found: dict[str, Path] = {}  # maps packages to folders
+        self._unreadable: dict[Path, str] = {}  # maps mesh files to errors
         self._colored: dict[Path, bool] = {}  # whether a mesh file has colors
         self._flat: set[Path] = set()
         self._notes: dict[str, list[str]] = {}  # warnings, and the elements they concern
@@ -192,7 +194,7 @@ class UrdfFile:
         self.described = ImportedTables(tables, {k: v for k, v in lines.items() if v}, warnings)
 
     def check(self) -> None:
-        """Raises NoJoints without movable joints, and DeclarationError for unknown arguments."""
+        """Raises NoJoints if no joint is movable, and DeclarationError for unknown arguments."""
         used = self._arguments.used
         for name in sorted(self._arguments.declared - used):
             message = f"unknown xacro argument '{name}'{did_you_mean(name, used)}"
@@ -285,11 +287,11 @@ class UrdfFile:
 
         try:
             text = xacro_file.expand(self.path, self._arguments, find)
-        except (Exception, SystemExit) as error:  # xacro raises anything for an invalid file
+        except (Exception, SystemExit) as error:  # xacro raises any exception for invalid files
             reason = " ".join(str(error).split()) or type(error).__name__
             if (missing := _NO_ARGUMENT.search(reason)) is not None:
                 reason += f"; set it with --arg {missing[1]}=VALUE"
-            self._problem(None, "", f"xacro cannot expand it: {reason}")
+            self._problem(None, "", f"xacro cannot expand the file: {reason}")
             self._stop()
         return parse_xml(text.encode())
 
@@ -330,7 +332,7 @@ class UrdfFile:
                         geometries.append(geometry)
             links.append(link)
         if not links:
-            self._problem(root, "robot", "has no <link>; expected one or more")
+            self._problem(root, "robot", "has no <link>; expected at least one link")
         return links
 
     def _inertial(self, element: Element, link: UrdfLink) -> None:
@@ -424,7 +426,7 @@ class UrdfFile:
             return None
         if color is None or not self._colored[file]:
             return Geometry(T, file, scale, color=color, line=mesh.sourceline)
-        # As in RViz, colors of the mesh file override the material, except for its opacity.
+        # As in RViz, colors of the mesh file override the material, but not its opacity.
         alpha = float(color[1][3]) or 1.0
         return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
@@ -445,7 +447,7 @@ class UrdfFile:
                 self._unreadable[file] = str(error.problems[0])
         if tag == "collision" and file in self._flat:
             self._note(
-                "flat <collision> meshes are left out; they have no convex hull",
+                "flat <collision> meshes are left out, because they have no convex hull",
                 mesh,
                 f"'{link}'",
             )
@@ -606,7 +608,9 @@ class UrdfFile:
         base = max(whole, key=lambda name: len(whole[name]), default="")
         for link in roots:
             if link.name != base:
-                message = f"is not the child of a joint; expected one, because the base is '{base}'"
+                message = (
+                    f"is not the child of a joint, but the base is '{base}'; expected a single base"
+                )
                 self._item_problem("link", link, message)
         everywhere = set().union(*whole.values()) if whole else set()
         loop = [link for link in links if link.name not in everywhere]
@@ -619,12 +623,12 @@ class UrdfFile:
     def _free_base(
         self, root: str, links: list[UrdfLink], joints: list[Joint]
     ) -> tuple[Array, Joint | None]:
-        """Returns T_root_base, and the joint of a free base, if there is one.
+        """Returns T_root_base and the joint of a free base, or None if there is no such joint.
 
-        This is the floating or planar joint that is fixed to the root and carries all movable
-        joints. Links and joints that it does not carry are removed. Other floating joints are
-        fixed, because MuJoCo has free joints at top level only. Other planar joints become three
-        joints.
+        The joint of a free base is the floating or planar joint that is fixed to the root and
+        carries all movable joints. Links and joints that it does not carry are removed. Other
+        floating joints become fixed joints, because MuJoCo supports free joints at the top level
+        only. Other planar joints become three joints.
         """
         below: dict[str, list[Joint]] = {}
         for joint in joints:
@@ -660,7 +664,7 @@ class UrdfFile:
             links[:] = [link for link in links if link.name in mine]
             joints[:] = [joint for joint in joints if joint.parent in mine]
         if held := [f"'{joint.name}'" for joint in joints if joint.kind == "floating"]:
-            message = "floating joints inside a robot are fixed at their origins"
+            message = "floating joints inside a robot become fixed joints at their origins"
             self._warnings.append(f"{message}: {first_of(held)}")
         for joint in [each for each in joints if each.kind == "planar"]:
             at = joints.index(joint)
@@ -685,11 +689,11 @@ class UrdfFile:
             if to not in by_name:
                 reason = f"no joint '{to}'{did_you_mean(to, moving)}"
             elif _follows_itself(joint, by_name):
-                reason = "it follows itself"
+                reason = "the joint follows itself"
             elif to not in moving:
                 reason = f"joint '{to}' is not movable"
             elif ratio == 0:
-                reason = "multiplier is 0"
+                reason = "the multiplier is 0"
             if reason:
                 line = f" (line {joint.line})" if self._has_lines else ""
                 self._notes.setdefault("ignored <mimic> elements", []).append(

@@ -29,12 +29,12 @@ _METHODS = {
     tuple: {"index", "count"},
     float: {"is_integer"},
 }
-# xacro has global state, and its evaluation is patched globally.
+# Serializes calls, because xacro has global state and its evaluation is patched globally.
 _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML of an expanded xacro file. Raises any exception of xacro.
+    """Returns the XML text of an expanded xacro file. Exceptions of xacro are not converted.
 
     `find` returns the folder of a ROS package, for `$(find NAME)`.
     """
@@ -78,7 +78,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
 
 
 class _Names(Mapping[str, Any]):
-    """Functions, then arguments, which are looked up only if an expression uses them."""
+    """Names of functions and arguments. Arguments are looked up only if an expression uses them."""
 
     def __init__(
         self,
@@ -136,8 +136,8 @@ class _Functions(dict[str, Any]):
 
 
 def range_up_to(*limits: int) -> range:
-    """Like `range`, but limited in length, so that a file cannot exhaust the memory."""
+    """Returns a `range` of limited length, so that a file cannot exhaust the memory."""
     found = range(*limits)
     if len(found) > _MAX_RANGE:
-        raise ValueError(f"found a range of {len(found)}; expected up to {_MAX_RANGE}")
+        raise ValueError(f"found a range of {len(found)} numbers; expected at most {_MAX_RANGE}")
     return found

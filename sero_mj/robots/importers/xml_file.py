@@ -12,7 +12,7 @@ Element: TypeAlias = Any  # lxml has no types
 _MAX_HEAD = 100_000  # bytes that contain the beginning of the first element
 _NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
 _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
-# Allowed before the first element, and tolerated before the XML declaration.
+# Text that is allowed before the first element, and tolerated before the XML declaration.
 _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
 _VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
@@ -40,7 +40,7 @@ def first_element(head: bytes) -> str | None:
 
 
 def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
-    """Returns the root element. Raises XmlError.
+    """Returns the root element of an XML file. Raises XmlError if the XML is invalid.
 
     Entity declarations are rejected, because they can expand a few bytes to gigabytes or insert
     other files. The network is not used. `encoding` overrides the file's encoding.
@@ -65,7 +65,7 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
     declared = root.getroottree().docinfo.internalDTD
     if declared is not None and (entities := list(declared.iterentities())):
         names = ", ".join(f"'{entity.name}'" for entity in entities[:3])
-        raise XmlError([(None, f"declares entities ({names}); expected none")])
+        raise XmlError([(None, f"declares entities ({names}); expected no entity declarations")])
     return root
 
 
@@ -81,9 +81,9 @@ def _known(encoding: str) -> str:
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
-    """Like `parse_xml`, but tolerates some errors, and also returns warnings about them.
+    """Parses XML like `parse_xml`, but tolerates some errors and also returns warnings about them.
 
-    Tolerated are undeclared prefixes, and an XML declaration that is not at the start or has an
+    Undeclared prefixes are tolerated, and an XML declaration that is not at the start or has an
     unknown version. The corrections do not change line numbers.
     """
     try:
@@ -120,5 +120,5 @@ def _shown(text: bytes) -> str:
 
 def _plain(message: str) -> str:
     if "amplification" in message:
-        return "declares entities that expand without limit; expected none"
+        return "declares entities that expand without limit; expected no such entities"
     return message.partition(", use XML_PARSE_HUGE")[0].strip()

@@ -1,7 +1,8 @@
-"""Smart axes: coordinate axes at the base, every joint, the flange and named frames (section 2.5).
+"""Smart axes: coordinate axes of the base, every joint, the flange and named frames (section 2.5).
 
-x is red, y green, z blue. If frames coincide, each further one has shorter and thicker bars, so
-that all of them are visible and clickable in any orientation. A click shows the name of a frame.
+The x axis is red, y is green and z is blue. If frames coincide, the bars of each additional frame
+are shorter and thicker. All frames thus stay visible and clickable in any orientation. A click
+shows the name of a frame.
 """
 
 from __future__ import annotations
@@ -25,8 +26,9 @@ from .panels import Panels, labels_below
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
 _STALE_SHARE = 0.75  # fraction of gray in the color of a stale frame
-# Frames closer than the first distance coincide; frames farther apart than the second do not. In
-# between, sizes change continuously, so that frames that move apart do not flicker.
+# Frames closer than the first distance coincide. Frames farther apart than the second distance do
+# not. Between both distances, sizes change continuously, which avoids flicker when frames move
+# apart.
 _AT_ONE_PLACE = (0.004, 0.02)  # m
 _SHORTER, _THICKER = 0.45, 0.35  # scale factors per coinciding frame
 # Rotations that map the z axis of a bar to x, y and z.
@@ -41,7 +43,7 @@ ONTO_AXIS = np.array(
 
 
 class SmartAxes(Feature):
-    """The coordinate axes of one world."""
+    """Draws the coordinate axes of one world."""
 
     order = 80
 
@@ -54,10 +56,11 @@ def ranks(positions: Array) -> Array:
     """Returns the number of earlier frames that coincide with each frame.
 
     Args:
-        positions: (m, 3), m.
+        positions: origins of the frames, shape (m, 3), m.
 
     Returns:
-        (m,), 0 for the first of coinciding frames; continuous in the positions.
+        ranks, shape (m,), continuous in the positions. The first of several coinciding frames has
+        rank 0.
     """
     squares = np.einsum("ij,ij->i", positions, positions)
     apart = squares[:, None] + squares - 2.0 * positions @ positions.T
@@ -77,8 +80,8 @@ def draw_axes(
 ) -> None:
     """Draws three bars for every frame whose axes are shown.
 
-    Bars are boxes with 12 triangles each. Arrow geoms have about a thousand triangles, so axes
-    would be slower to render than the robot. Frames in `stale`, (M,) bool, are gray.
+    Bars are boxes with 12 triangles each. With arrow geoms of about a thousand triangles, axes
+    would be slower to render than the robot. Frames in the mask `stale`, shape (M,), are gray.
     """
     table = world.frames
     index = (shown & (table.alpha > 0)).nonzero()[0]
@@ -109,12 +112,12 @@ def draw_bars(
     """Draws the axes of k frames.
 
     Args:
-        origins: (k, 3), m.
-        rotation: (k, 3, 3).
-        size: length and half the width of the bars, (k,) each, m.
-        rgb: colors of the three bars, (3, 3) or (k, 3, 3).
-        alpha: (k,).
-        items: rows of the frames in `FrameTable`, (k,); None for axes that cannot be clicked.
+        origins: origins of the frames, shape (k, 3), m.
+        rotation: orientations of the frames, shape (k, 3, 3).
+        size: length and half width of the bars of each frame, shape (k,) each, m.
+        rgb: colors of the three bars, shape (3, 3) or (k, 3, 3).
+        alpha: opacity of the bars of each frame, shape (k,).
+        items: rows of the frames in `FrameTable`, shape (k,). If None, the axes cannot be clicked.
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
@@ -146,7 +149,7 @@ class FrameNames(Feature):
 def name_panels(
     world: WorldView, data: mujoco.MjData, named: Bools, view: ImageView
 ) -> Panels | None:
-    """Returns labels below the origins of the named frames, (M,) bool; None if there are none."""
+    """Returns labels below the origins of the frames in a mask (M,), or None without labels."""
     shown = named.nonzero()[0]
     if not len(shown):
         return None

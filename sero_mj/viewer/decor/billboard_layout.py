@@ -31,19 +31,20 @@ _MIN_GAIN = 0.01  # fraction of a line's height; smaller gains are noise
 FEWEST = 8  # minimum number of billboards, even if they need several columns
 # If a robot has more than 24 joints, only the 12 most loaded joints and clicked ones are shown.
 _MANY, _MAX_LOADED = 24, 12
-GAP = 0.3  # between billboards, fraction of a line's height
-# A hand or finger smaller than this fraction of its arm has its billboards beside those of the arm.
+GAP = 0.3  # distance of billboards, fraction of a line's height
+# The billboards of a hand or finger are beside those of its arm if the hand or finger is smaller
+# than this fraction of the arm.
 SMALL = 0.5
 NO_SHARE = -1.0  # sorted after any known share
 # A billboard replaces a shown one only if its share is larger by this factor plus this amount.
 _MORE = (1.25, 0.02)
 _NEW_ROOM = 0.5  # additional distance of robots from new billboards, fraction of a line's height
 _MARGIN = 0.5  # fraction of a line's height
-_LANE = 0.2  # between leaders beside a column, fraction of a line's height
-_OF_LIMB = 2  # billboards of joints that the billboard of a limb counts as
+_LANE = 0.2  # distance of leaders beside a column, fraction of a line's height
+_OF_LIMB = 2  # number of joint billboards that a limb billboard counts as
 _LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds with a share
 _LOADED = ", the most loaded"  # end of the note, unless no load is known
-_ROUNDS = 8  # of placing and uncrossing; panels of several sizes can need more than one
+_ROUNDS = 8  # maximum iterations of placing and uncrossing; panels of several sizes need several
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
 
@@ -53,14 +54,17 @@ class BillboardGroup:
     """Billboards of one kind, before layout.
 
     Attributes:
-        texts: lines of every billboard, top first.
-        owners: index in `WorldView.owners` of their robot or double, (k,); -1 for none.
-        side: `LEFT` or `RIGHT`, (k,), for a single robot; several robots determine it themselves.
-        rank: vertical order, lowest first, (k,).
-        share: load as a fraction of the limit, (k,), by which billboards are chosen if there is no
-            room for all; `NO_SHARE` if unknown, inf for billboards that are always shown.
+        texts: lines of every billboard, top line first.
+        owners: index of each billboard's robot or double in `WorldView.owners`, shape (k,); -1 for
+            none.
+        side: `LEFT` or `RIGHT` for each billboard, shape (k,). Ignored if there are several robots,
+            whose positions determine the side.
+        rank: vertical order of the billboards, lowest first, shape (k,).
+        share: load of each billboard's joint as a fraction of the limit, shape (k,); `NO_SHARE` if
+            unknown. If there is no room for all billboards, those with the largest share are
+            shown. Billboards with a share of inf are always shown.
         clear: minimum horizontal distance of the columns from the anchors, pixels.
-        rgba: one color, or (k, 4).
+        rgba: one color for all billboards, or one color each, shape (k, 4).
     """
 
     kind: Kind
@@ -116,14 +120,14 @@ class _All:
 
 @dataclass
 class _Memory:
-    """State of the last frame, so that no billboard alternates between two places.
+    """State of the last frame, which prevents billboards from alternating between two places.
 
     Attributes:
         order: robots from left to right.
-        middles: their horizontal positions by which they are sorted, pixels.
+        middles: horizontal positions by which the robots are sorted, pixels.
         preferred: side of each billboard according to the robots' positions.
         places: side and rank of each billboard.
-        chosen: shown billboards if there was no room for all; else empty.
+        chosen: shown billboards if there was no room for all billboards; otherwise empty.
     """
 
     order: list[int] = field(default_factory=list)
@@ -150,11 +154,11 @@ class _Memory:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Places of the shown billboards and of their leaders, (m, 2) each, pixels.
+    """Positions of the shown billboards and of their leaders, shape (m, 2) each, pixels.
 
     Attributes:
-        note: panel with the number of shown billboards, in a list; empty if all are shown.
-        bends: where leaders bend; the same as `starts` for straight leaders.
+        note: list with a panel that states the number of shown billboards; empty if all are shown.
+        bends: points at which leaders bend; equal to `starts` for straight leaders.
     """
 
     billboards: _All
@@ -167,7 +171,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Covered:
-    """Pixels of points on robots (m, 2), their robots (m,), and covered rectangles (m, 4)."""
+    """Pixels of points on robots (m, 2), robots of these points (m,), covered rectangles (m, 4)."""
 
     pixels: Array
     robots: Ints
@@ -177,10 +181,9 @@ class _Covered:
 class BillboardLayout:
     """Places the billboards of a world.
 
-    The side of a billboard and its place in the vertical order do not change until leaders cross.
-    Then two billboards swap places. The layout is reused while nothing that it depends on
-    moves: of a frame of an LWR at 1280x800, which takes 8 ms (24 ms of Justin), this saves 6 ms
-    (8 ms).
+    The side of a billboard and its position in the vertical order do not change until leaders
+    cross. Then two billboards swap positions. The layout is reused until one of its inputs changes.
+    This saves 6 of 8 ms for a 1280x800 frame of an LWR, and 8 of 24 ms for Justin.
 
     Args:
         owner_group: result of `owner_groups`.
@@ -205,16 +208,16 @@ class BillboardLayout:
         """Places the billboards and draws their leaders.
 
         If a robot has many billboards, or if there is no room for all of them beside the robots,
-        those with the largest shares are shown, but at least a few. A note in the corner states how
-        many are shown.
+        those with the largest shares are shown. A minimum number is always shown. A note in the
+        corner states the number of shown billboards.
 
         Args:
-            radii: radius of the robot around every point, (m,), m.
-            owners: index of the robot or double of every point, (m,).
-            corners: panels in the corners of the image, which billboards do not cover.
+            radii: radius of the robot around every point, shape (m,), m.
+            owners: index of the robot or double of every point, shape (m,).
+            corners: panels in the corners of the image that billboards must not cover.
 
         Returns:
-            the shown billboards, their panels, and the note in a list, which may be empty.
+            the shown billboards, their panels, and a list with the note, or an empty list.
         """
         groups = [group for group in groups if group.texts]
         if not groups:
@@ -222,7 +225,8 @@ class BillboardLayout:
         every = _All.of(groups)
         covered, radius = self._project(view, points, radii, owners)
         order = self._by_share(every)
-        # Of the shares, only their order matters and whether they are known; both rarely change.
+        # The layout depends only on the order of the shares and on which of them are known. Both
+        # rarely change.
         arrays: list[NDArray[Any]] = [covered.pixels, covered.robots, radius, order]
         arrays += [every.share > NO_SHARE, every.is_clicked, every.anchors, every.sizes]
         arrays += [every.owners, every.side, every.rank, *view.free]
@@ -332,9 +336,9 @@ class BillboardLayout:
     def _choose(
         self, view: ImageView, every: _All, covered: Array, corners: list[Panels], order: Ints
     ) -> tuple[Bools, list[Panels]]:
-        """Returns which billboards are shown, (k,), and a note if these are not all.
+        """Returns the mask (k,) of shown billboards, and a note if some are not shown.
 
-        If a side has no room, its billboards may move to the other side.
+        If one side has no room, billboards may move to the other side.
         """
         memory, total = self._memory, len(every.keys)
         limit, nothing = _max_count(every, view), np.zeros((0, 4))
@@ -367,7 +371,7 @@ class BillboardLayout:
         count, sides = fit(covered + apart, corners, required)
         if count == total:
             return show(count, sides), []
-        if count < len(memory.chosen):  # as many as in the last frame if they still have room
+        if count < len(memory.chosen):  # show as many as in the last frame if they still fit
             count, sides = fit(covered, corners, required)
             count = min(count, len(memory.chosen))
         if count < required:
@@ -403,9 +407,10 @@ class BillboardLayout:
 
 
 def owner_groups(world: WorldView) -> Ints:
-    """Returns, for every owner of joints, the index of the robot whose billboards it joins.
+    """Returns the index of the robot beside which the billboards of each joint owner are placed.
 
-    A double joins its robot, and a hand joins the arm that carries it.
+    Billboards of a double are placed beside the robot that it duplicates, and those of a hand
+    beside the arm that carries it.
     """
     names, robots = list(world.owners), world.scene.robots
 
@@ -441,7 +446,7 @@ def _rectangles(corners: list[Panels], origin: Array) -> Array:
 
 def _note(view: ImageView, total: int, corners: list[Panels]) -> Panels:
     margin = _MARGIN * view.font.height
-    text = _note_text(total, total)  # the longest one
+    text = _note_text(total, total)  # the longest possible note
     size = panel_sizes(np.array([view.font.width(text)]), 1, view)[0]
     right, bottom = view.free[1][0] - margin, view.free[0][1] + margin
     for corner in corners:  # above the legend if the image is narrow
@@ -476,7 +481,7 @@ def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
 
 
 def move_below(right: Panels, left: Panels) -> Panels:
-    """Returns the panels of the upper left corner, moved below those of the right one if needed."""
+    """Returns the upper left corner's panels, moved below the right corner's if they overlap."""
     low, _ = bounds(right)
     _, high = bounds(left)
     down = high[1] - low[1]
@@ -492,10 +497,10 @@ def bounds(panels: Panels) -> tuple[Array, Array]:
 
 
 def heights_in_order(heights: Array) -> Ints:
-    """Returns the rank of every height, (k,), 0 for the lowest.
+    """Returns the rank of every height, shape (k,), with 0 for the lowest.
 
-    Compute it once for the declared pose: ranks of the current heights would make billboards swap
-    places.
+    Call this once for the declared pose. With ranks of the current heights, billboards would swap
+    places during motion.
     """
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), np.intp)

@@ -40,7 +40,7 @@ _LABELS = {
     "joint_angles": "pos",
     "billboard_values": "val",
 }
-_CLOSE = 0.01  # minimum distance of a limb from the middle of its robot, fraction of image width
+_CLOSE = 0.01  # distance from the robot's middle at which a limb changes sides, fraction of width
 _PLAIN_BELOW = 1e6  # larger values are written with an exponent
 # Default unit and decimals of a value, for revolute and for prismatic joints.
 _UNITS = {
@@ -50,7 +50,7 @@ _UNITS = {
 }
 # Default decimals of torques, whose unit is the robot's.
 _TORQUES = {"torques": 1, "commanded_torques": 1, "torque_error": 2, "torque_limit": 1}
-# Decimals of torques resolve this fraction of the torque of a full arrow.
+# Decimals of torques resolve this fraction of the torque at full arrow width.
 _RESOLUTION, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
 _OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
@@ -64,12 +64,12 @@ _DETAILS = {
 
 _LARGEST = "largest seen"  # label if the largest torque so far replaces the limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_FILLED = 0.55  # maximum filled fraction of both sides before limbs are collapsed
+_FILLED = 0.55  # fraction of both sides that is filled before limbs are collapsed
 _TINT = 0.30  # fraction of the double's color in the color of its panels
 
 
 class Billboards(Feature):
-    """The billboards of one world."""
+    """Shows the billboards of one world."""
 
     order = 10
 
@@ -78,7 +78,7 @@ class Billboards(Feature):
         joints = world.joints
         parts = list(world.owners.values())
         declared = [declared_lines(part, world.scene) for part in parts]
-        # Defaults show angles until torques are received, and torque errors if arrows do.
+        # Default lines show angles until torques arrive, and torque errors if arrows show them.
         defaults = [
             "" if has_chosen_lines(part) or len(lines) > 1 else lines[0].value
             for part, lines in zip(parts, declared, strict=True)
@@ -93,7 +93,7 @@ class Billboards(Feature):
         ).astype(np.intp)
         self._limbs = limbs = billboard_limbs(world)
         self._limb = limbs.beside
-        self._close = 0.0  # see `_CLOSE`; 0 for the first frame, in which every limb gets a side
+        self._close = 0.0  # becomes `_CLOSE` after the first frame, in which every limb gets a side
         group = limbs.groups[joints.owner]
         every = [np.unique(self._limb[group == each]) for each in np.unique(group)]
         self._limbs_of_groups = [limbs for limbs in every if len(limbs) > 1]
@@ -113,8 +113,9 @@ class Billboards(Feature):
     def lay_out(self, frame: Frame) -> None:
         """Adds the billboards of joints in the image.
 
-        If there are too many, one billboard replaces those of all joints of a limb that were not
-        clicked. `BillboardLayout` then selects the clicked ones and those with the largest load.
+        If there are too many, a limb gets one billboard for all of its joints that were not
+        clicked. `BillboardLayout` then selects the billboards of clicked joints and of the joints
+        with the largest load.
         """
         group = self._of_joints(frame)
         if group is None:
@@ -213,7 +214,7 @@ class Billboards(Feature):
             values = {**values, "torque_limit": limit, "torque_share": share}
         texts, widths = self._write(index.tolist(), lines, values, view.font)
         is_clicked = toggles.details | (toggles.clicked & toggles.billboards)
-        # At a distance from the round arrow of the joint closest to the camera.
+        # Keep clear of the round arrow of the joint closest to the camera.
         clear = 2.0 * joints.arrow_radius[index].max() / view.pixel_size(float(depth.min()))
         return BillboardGroup(
             kind=Kind.BILLBOARD,
@@ -244,7 +245,7 @@ class Billboards(Feature):
             middles[limbs] = np.median(x[limbs])
         beside = (x - middles)[self._limb]
         moved = self._is_in_limbs & (np.abs(beside) >= self._close * view.width)
-        self._close = _CLOSE  # so that billboards do not alternate between the sides
+        self._close = _CLOSE  # prevents billboards from alternating between the sides
         self._side[moved] = np.where(beside[moved] < 0, LEFT, RIGHT)
         return self._side
 
@@ -290,14 +291,14 @@ class _LimbNames(NamedTuple):
 
 @dataclass(frozen=True)
 class Formats:
-    """The lines of every joint's billboard.
+    """Formats of the lines on every joint's billboard.
 
     Attributes:
         declared: declared lines, or lines for the inputs of the robot.
-        torques: lines if torques were received without being declared.
-        modelled: lines if the torques are those of the model.
-        errors: lines if arrows show torque errors.
-        details: lines shown by a click on the arrow.
+        torques: lines that are used if torques are received but not declared.
+        modelled: lines that are used if the torques are computed from the model.
+        errors: lines that are used if arrows show torque errors.
+        details: lines that a click on the arrow shows.
     """
 
     declared: list[list[LineFormat]]
@@ -395,12 +396,12 @@ class LineFormat:
 
 
 def has_chosen_lines(part: Owner) -> bool:
-    """Whether the lines of billboards are declared rather than derived from the received inputs."""
+    """Whether billboard lines are declared, and not derived from the received inputs."""
     return part.declared.billboard_lines is not None or part.billboard_lines is not None
 
 
 def shows_errors(toggles: Toggles) -> Bools:
-    """Returns the joints whose arrows are on and show torque errors, (N,) bool."""
+    """Returns a mask (N,) of the joints whose visible arrows show torque errors."""
     shown = toggles.arrow_quantity == ARROW_QUANTITIES.index("torque_error")
     return np.asarray(toggles.arrows & shown)
 
@@ -408,12 +409,12 @@ def shows_errors(toggles: Toggles) -> Bools:
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
     """Returns the declared lines of billboards, or lines for the inputs routed to the owner.
 
-    A double has the lines of its robot for which it has values.
+    A double has those lines of its robot for which the double has values.
     """
     declared = part.declared
 
     def comes(key: str) -> bool:
-        if key == "torque_error":  # computed from the two
+        if key == "torque_error":  # computed from measured and commanded torques
             return comes("commanded_torques") and comes("torques")
         routed = scene.routed(f"{declared.name}.{key}") is not None
         return routed or getattr(declared, key, None) is not None
@@ -436,8 +437,8 @@ def billboard_lines(
     """Returns the line formats of one joint's billboard.
 
     Args:
-        full: torque for full arrow width, Nm or N, which determines the decimals; inf if
-            unknown.
+        full: torque at full arrow width, Nm or N; inf if unknown. Determines the number of
+            decimals.
     """
     several = len(declared) > 1
     labels = [
@@ -455,8 +456,7 @@ def detail_lines(
     """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
 
     Args:
-        is_largest: whether the limit is the largest torque seen so far, which changes the
-            label.
+        is_largest: whether the largest torque so far replaces the limit. Changes the label.
     """
     labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
     return [

@@ -27,13 +27,14 @@ log = logging.getLogger(__name__)
 _BESIDE = 0.6  # distance of the label from the pointer, fraction of a line's height
 # Candidates for the label: lower right, where pointers do not cover it, then above, then left.
 _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
-# Fraction of white in panels, which would be invisible in front of the floor of the dark look.
+# Fraction of white in panels. Without it, panels would be invisible in front of the dark look's
+# floor.
 _LIGHTER = {"light": 0.0, "dark": 0.14}
 _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
 class Decor:
-    """The decor of one world; `arrow_geoms` is the maximum number of geoms of a round arrow."""
+    """Draws all features of a world, with at most `arrow_geoms` geoms for each round arrow."""
 
     def __init__(
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
@@ -48,7 +49,7 @@ class Decor:
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: ImageView) -> GeomBuffer:
-        """Lays out one frame and returns the buffer that contains it."""
+        """Lays out one frame and returns the buffer with its geoms."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
         buffer.clear()
@@ -164,12 +165,12 @@ class Outline:
         sites: Array,
         arrows: Bools,
     ) -> tuple[Array, Array, Ints]:
-        """Returns points (m, 3), m, radii (m,), m, and the index of their robot or double (m,).
+        """Returns points (m, 3), radii (m,), both in m, and indices of robots or doubles (m,).
 
         Args:
-            hidden: geoms that are not shown, (ngeom,) bool; None for none.
+            hidden: mask (ngeom,) of geoms that are not shown; None if all are shown.
             sites: positions of the world's sites, `site_xpos`, m.
-            arrows: joints with an arrow, which belongs to the outline, (N,) bool.
+            arrows: mask (N,) of joints whose arrows are part of the outline.
         """
         rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
         points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]

@@ -27,21 +27,22 @@ from .toggles import ShownItems, Toggles
 
 @dataclass(eq=False)
 class Frame:
-    """A frame during layout. Features append to `billboards`, `corners` and `panels`.
+    """Data of one frame. Features append to `billboards`, `corners` and `panels`.
 
     Attributes:
         data: state of the world with the fields of `MjData`: `time`, `xpos`, `site_xpos`,
             `userdata`, ...
         shown: items that are switched on and have a pose.
-        values: values of all joints by name, (N,) each, NaN for no data: `torques`,
-            `torque_error`, `joint_angles`, and all other inputs of robots.
-        arrow_values: values shown by the joints' arrows, (N,), NaN for no data.
-        arrow_limit: values at which arrows have full width, (N,), inf for none.
-        stale: messages by the names of robots, doubles, arrows and frames without fresh data.
-        stale_joints: joints without fresh data, (N,) bool.
+        values: mapping from the names `torques`, `torque_error`, `joint_angles` and all other
+            inputs of robots to the values of all joints, shape (N,) each, NaN for no data.
+        arrow_values: values shown by the joints' arrows, shape (N,), NaN for no data.
+        arrow_limit: values at which arrows reach full width, shape (N,), inf if there is no limit.
+        stale: mapping from names of robots, doubles, arrows and frames without fresh data to
+            messages.
+        stale_joints: mask (N,) of joints without fresh data.
         arrow_geoms: maximum number of geoms of a round arrow.
         billboards: panels beside the robots, with leaders.
-        corners: panels in the corners of the image, which billboards do not cover.
+        corners: panels in the corners of the image that billboards must not cover.
         panels: other panels.
     """
 
@@ -66,7 +67,7 @@ class Frame:
         return self.billboards
 
     def is_stale(self, names: list[str]) -> Bools:
-        """Returns which of these names have no fresh data, (k,) bool."""
+        """Returns a mask (k,) of the names without fresh data."""
         return stale_mask(names, self.stale)
 
 
@@ -91,13 +92,13 @@ class FeatureSettings(Declaration):
 class Feature:
     """A visual feature of a world.
 
-    First `lay_out` is called for all features, then text is drawn, then `draw` is called for all
-    features. If the number of geoms exceeds the capacity, geoms of `draw` are dropped, but not
-    text.
+    For each frame, `lay_out` is called for all features. Then text is drawn, and `draw` is called
+    for all features. If the number of geoms exceeds the capacity, geoms added by `draw` are
+    dropped, but text is not.
 
     Attributes:
-        order: position in both passes, lowest first; built-in features have 10 to 90.
-        settings: settings in the scene, available from `start` on.
+        order: position in both passes, lowest first. Built-in features use 10 to 90.
+        settings: settings of this feature in the scene, set before `start` is called.
     """
 
     order: ClassVar[int] = 100
@@ -121,8 +122,8 @@ def make_features(world: WorldView) -> list[Feature]:
     """Returns all installed features that a world shows, and logs those that cannot be loaded.
 
     Raises:
-        UnknownName: the scene has settings of a feature that is not installed.
-        DeclarationError: settings are invalid.
+        UnknownName: the scene has settings for a feature that is not installed.
+        DeclarationError: the settings of a feature are invalid.
     """
     kinds, tables = load_all(DECOR, Feature), world.scene.decor
     for name in tables:

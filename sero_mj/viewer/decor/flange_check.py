@@ -1,8 +1,8 @@
-"""Flange check (section 3.1): compares a received base-to-flange frame with the robot's own.
+"""Flange check (section 3.1): compares the received base-to-flange frame with the computed one.
 
-The received frame is drawn as a second, paler flange frame with a line to the robot's. The
-difference is shown in the upper right corner, or in red beside the flange if it exceeds the robot's
-`flange_tolerance`.
+The received frame is drawn in pale colors, with a line to the computed flange frame. The difference
+is shown in the upper right corner. If it exceeds the robot's `flange_tolerance`, it is shown in red
+beside the flange.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _PALE = 0.45  # fraction of white in the color of the received axes
 _LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
 _GOOD_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
 _LINE_HALF_WIDTH = 0.003  # m
-_AXES_SHARE = 0.8  # length of the received axes, fraction of the robot's axes
+_AXES_SHARE = 0.8  # length of the received axes, fraction of the length of the robot's axes
 _CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
 _MARGIN = 0.5  # fraction of a line's height
 
@@ -36,11 +36,11 @@ _MARGIN = 0.5  # fraction of a line's height
 def flange_difference(
     world: WorldView, data: mujoco.MjData, robot: str
 ) -> tuple[float, float] | None:
-    """Returns the difference between the received flange frame and the robot's own.
+    """Returns the difference between the received and the computed flange frame.
 
     Returns:
-        distance of the origins, m, and angle between the frames, rad; None if no valid frame
-        was received.
+        distance of the origins, m, and angle between the frames, rad. Returns None if no valid
+        frame was received.
     """
     received = _received(world, data, robot)
     if received is None:

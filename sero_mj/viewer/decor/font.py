@@ -1,7 +1,7 @@
 """`Font`: widths of characters, and lines of text in aligned columns.
 
-Lines are UTF-8. Characters outside ASCII are set in further faces of Inter (Latin, Greek,
-Cyrillic), or in installed fonts for other scripts.
+Lines are UTF-8. Latin, Greek and Cyrillic characters outside ASCII are set in additional faces of
+Inter. Other scripts are set in installed fonts.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ _SYSTEM_FONTS = (
     "NotoSansDevanagari-Regular.ttf", "NotoSansArabic-Regular.ttf", "NotoSansHebrew-Regular.ttf",
     "NotoSansThai-Regular.ttf", "DejaVuSans.ttf", "Arial Unicode.ttf", "segoeui.ttf",
 )  # fmt: skip
-_SIZE = 16.0  # pixels, at which fonts are searched for characters
+_SIZE = 16.0  # font size used to search fonts for characters, pixels
 
 
 def line_of(text: str) -> bytes:
-    """Returns a text as a line of a panel, UTF-8, truncated if it is too long."""
+    """Returns a text as a line of a panel, in UTF-8, truncated to MuJoCo's maximum length."""
     raw = text.encode("utf-8", "replace")
     if len(raw) <= _MAX_BYTES:
         return raw
@@ -56,7 +56,7 @@ def line_of(text: str) -> bytes:
 
 
 def open_face(file: Path | str, size: float) -> ImageFont.FreeTypeFont:
-    """Opens a font at a size in pixels; raises OSError."""
+    """Opens a font at a size in pixels. Raises OSError if the font cannot be read."""
     # Raqm is not available everywhere and places some characters differently.
     return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
 
@@ -73,7 +73,7 @@ def more_fonts() -> tuple[str, ...]:
 
 @lru_cache(maxsize=4096)
 def font_with(character: str) -> str | None:
-    """Returns the first file of `more_fonts` that has a character, or None."""
+    """Returns the first file of `more_fonts` that contains a character, or None."""
     for file in more_fonts():
         face = open_face(file, _SIZE)
         missing = face.getmask("\uffff")
@@ -84,7 +84,7 @@ def font_with(character: str) -> str | None:
 
 
 def drawable(text: str) -> bool:
-    """Whether the fonts have all characters of a text."""
+    """Returns whether the fonts contain all characters of a text."""
     return text.isascii() or all(c.isascii() or font_with(c) is not None for c in text)
 
 
@@ -94,9 +94,9 @@ class Font:
 
     Attributes:
         height: height of a line, pixels.
-        widths: widths of the ASCII characters, (128,), pixels.
-        has_columns: whether numbers of a panel are aligned, see `value_columns`.
-        other: width of any other character, pixels; None for the width of W.
+        widths: widths of the ASCII characters, shape (128,), pixels.
+        has_columns: whether the numbers of a panel are aligned, see `value_columns`.
+        other: width of all other characters, pixels (default: the width of W).
     """
 
     height: int
@@ -139,7 +139,7 @@ class Font:
 DEFAULT_FONT = Font(FONT_HEIGHTS[150], np.pad(_WIDTHS_150, (32, 1)))
 _TEXT_OF_SCALE = 0.7  # text height per unit of billboard_scale, fraction of the shorter image side
 _MIN_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
-_MAX_LINE = 0.0675  # maximum height of a line, fraction of that side
+_MAX_LINE = 0.0675  # maximum height of a line, fraction of the shorter image side
 
 
 def line_height(world: WorldView, width: int, height: int) -> int:
@@ -194,7 +194,7 @@ class ValueColumns:
 
 
 def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
-    """Returns lines in columns, with distances in pixels from the edges of their text."""
+    """Returns the columns of lines, measured in pixels from the edges of the panel's text."""
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
     values = [row for row in rows if isinstance(row, ValueLine)]
     names = max((width(row.name) for row in values), default=0.0)

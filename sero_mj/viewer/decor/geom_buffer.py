@@ -37,7 +37,7 @@ GREY = (0.50, 0.50, 0.51)
 
 
 class Kind(IntEnum):
-    """Kind of item that a geom belongs to; kind and index identify what was clicked."""
+    """Kind of item that a geom belongs to. Kind and index identify the clicked item."""
 
     NONE = 0
     ARROW = 1  # item: joint of the world
@@ -57,14 +57,14 @@ class GeomBuffer:
 
     Attributes:
         count: number of geoms in use.
-        kinds: kind of item that every geom belongs to (`Kind`).
-        items: index of this item.
+        kinds: kind of item that each geom belongs to (`Kind`).
+        items: index of the item that each geom belongs to.
         dropped: number of geoms of this frame that exceeded the capacity.
-        grey: geoms of the model to draw gray, (ngeom,) bool; None for none.
-        hidden: geoms of the model not to draw, (ngeom,) bool; None for none.
-        opacity: factor for the opacity of every geom of the model, (ngeom,); None for 1.
+        grey: mask (ngeom,) of the model's geoms that are drawn in gray; None for no geom.
+        hidden: mask (ngeom,) of the model's geoms that are not drawn; None for no geom.
+        opacity: factor for the opacity of each of the model's geoms, shape (ngeom,); None for 1.
         drawn_doubles: doubles to draw that are not compiled into the model.
-        text: rows of panels and labels, which windows and images typeset themselves.
+        text: rows of panels and labels, for windows and images that typeset text themselves.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -100,12 +100,12 @@ class GeomBuffer:
     ) -> NDArray[Any]:
         """Allocates n rows for geoms of one type and returns them.
 
-        The caller sets size, pos, mat and rgba. If they exceed the capacity, no rows are returned
-        and `dropped` increases, so that nothing is drawn partially.
+        The caller sets size, pos, mat and rgba. If the rows exceed the capacity, none is returned
+        and `dropped` increases. This avoids partially drawn items.
 
         Args:
             geom: `mjtGeom`.
-            items: index of the joint, frame, smart arrow or robot, (n,).
+            items: index of the joint, frame, smart arrow or robot, shape (n,).
         """
         if self.count + n > len(self.rows):
             self.dropped += n
@@ -126,13 +126,13 @@ class GeomBuffer:
 def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Array) -> None:
     """Sets size, pos and mat of triangles.
 
-    A triangle's corners are its origin, size[0] along x and size[1] along y; it is visible from the
-    side that z points to. Coordinates come first, because numpy is slower for arrays with an inner
-    dimension of 3.
+    A triangle has its corners at its origin, at size[0] along x and at size[1] along y. It is
+    visible from the side that z points to. Coordinates are the first dimension, because numpy is
+    slower for arrays with an inner dimension of 3.
 
     Args:
-        rows: (...), from `GeomBuffer.take`.
-        origin: first corner, (3, ...), m; the corners are counterclockwise as seen from the
+        rows: rows from `GeomBuffer.take`, shape (...).
+        origin: first corner, shape (3, ...), m. The corners are counterclockwise as seen from the
             visible side.
     """
     x, y = second - origin, third - origin

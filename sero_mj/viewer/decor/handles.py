@@ -1,6 +1,6 @@
 """Handles to drag a frame, the mark of an unreachable target, and the ring of the selected joint.
 
-Three arrows move the frame along its axes, three rings rotate it about them, and a cube at its
+Three arrows move the frame along its axes, three rings rotate it about its axes, and a cube at its
 origin moves it in the image plane. Their size in the image does not depend on the distance.
 """
 
@@ -41,7 +41,7 @@ _LARGEST = 0.16  # maximum length of the arrows, fraction of the image height
 
 
 class HandleDecor(Feature):
-    """Draws the handles and the mark of the toggles."""
+    """Draws the handles and the target mark of `Toggles.handles`."""
 
     order = 85
 
@@ -63,12 +63,12 @@ def handle_length(point: Array, view: ImageView) -> float:
 
 
 def ring_radius(point: Array, view: ImageView) -> float:
-    """Returns the radius of the rings about a point (3,), m."""
+    """Returns the radius in m of the rotation rings about a point (3,)."""
     return _RING_RADIUS * handle_length(point, view)
 
 
 def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: ImageView) -> None:
-    """Draws the handles of a frame with the pose T_world_frame (4, 4), m."""
+    """Draws the handles of a frame with the pose T_world_frame, shape (4, 4), m."""
     origin, rotation = pose[:3, 3], pose[:3, :3]
     unit = handle_length(origin, view)
     rgb = np.array([*AXIS_RGB, *AXIS_RGB, _CUBE_RGB])
@@ -104,12 +104,12 @@ def fill_ring(
     half_width: float,
     rgba: Sequence[float],
 ) -> None:
-    """Arranges boxes in a ring about the third column of `axes` (3, 3).
+    """Arranges boxes in a ring about the third column of `axes`, shape (3, 3).
 
     Args:
         rows: geoms of the boxes.
-        radius: m.
-        half_width: half the width of the ring, m.
+        radius: radius of the ring, m.
+        half_width: half width of the ring, m.
     """
     phase = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     x, y, z = axes.T
@@ -146,8 +146,8 @@ def _draw_mark(buffer: GeomBuffer, mark: Array, view: ImageView) -> None:
 
 
 _RGBA = (0.16, 0.75, 0.95, 0.95)
-_LARGER = 1.3  # radius, in radii of the joint's arrow
-_HALF_WIDTH = 1.4  # pixels
+_LARGER = 1.3  # radius of the ring, in radii of the joint's arrow
+_HALF_WIDTH = 1.4  # half width of the ring, pixels
 
 
 class SelectionRing(Feature):

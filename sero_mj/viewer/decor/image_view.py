@@ -23,14 +23,14 @@ class ImageView:
     Pixels are counted from the lower left corner, x to the right, y up.
 
     Attributes:
-        position: position of the camera, (3,), m.
-        right: unit vector (3,).
-        up: unit vector (3,).
-        forward: unit vector (3,).
+        position: position of the camera, shape (3,), m.
+        right: unit vector to the right of the image, shape (3,).
+        up: unit vector to the top of the image, shape (3,).
+        forward: unit vector in the viewing direction, shape (3,).
         tan_half_fovy: tangent of half the vertical field of view.
         near: distance of the near plane, m.
-        inset: margins of the image that UI covers: left, bottom, right, top, pixels; panels are
-            placed inside.
+        inset: widths of the left, bottom, right and top margins that the UI covers, pixels. Panels
+            are placed inside these margins.
     """
 
     position: Array
@@ -96,8 +96,8 @@ class ImageView:
         """Projects world points into the image.
 
         Returns:
-            pixels (..., 2), and depth along the viewing direction (...), m; a point behind the
-            camera has a negative depth and undefined pixels.
+            pixels, shape (..., 2), and depths along the viewing direction, shape (...), m. A point
+            behind the camera has a negative depth and undefined pixels.
         """
         in_eye = (points - self.position) @ self.facing
         depth = -in_eye[..., 2]
@@ -106,7 +106,7 @@ class ImageView:
         return pixels + self._centre, depth
 
     def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Whether projected points are in the image, (...) bool."""
+        """Returns whether projected points are in the image, shape (...)."""
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
@@ -114,7 +114,7 @@ class ImageView:
         """Returns the world points (..., 3), m, at pixels and depths.
 
         Args:
-            depth: depth along the viewing direction, m; a scalar, or (..., 1).
+            depth: depth along the viewing direction, m, as a scalar or of shape (..., 1).
         """
         scale = self.pixel_size(depth)
         middle = self.position + depth * self.forward

@@ -21,9 +21,9 @@ _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
     """Returns the names of a robot's joints without repeated parts.
 
-    The robot's name at the start, the words that all names begin with, and `joint` at the end are
-    removed, as long as the names remain distinct and more than a number. If no installed font has
-    the characters of a name, it becomes `joint 3`.
+    This removes the robot's name at the start, the words that all names begin with, and `joint` at
+    the end. Nothing is removed if the names would no longer be distinct or would be only numbers.
+    If no installed font has the characters of a name, the name becomes, for example, `joint 3`.
     """
     own = re.compile(rf"^{re.escape(robot)}{_BETWEEN}(?=.)", re.IGNORECASE)
     names = _if_clear(list(joints), [own.sub("", name) for name in joints])
@@ -32,7 +32,7 @@ def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
         if len(names) > 1 and len({tuple(of_name[:count]) for of_name in words}) == 1:
             start = re.compile(rf"^({_WORD}{_BETWEEN}){{{count}}}")
             plain = _if_clear(names, [start.sub("", name) for name in names])
-            if plain != names:  # `joint_1` stays as it is
+            if plain != names:  # `joint_1` is not changed
                 names = plain
                 break
     names = _if_clear(names, [_END.sub("", name) for name in names])
@@ -60,8 +60,8 @@ def titles(
 
     Args:
         joints: short names of the joints of each owner.
-        owners: names of the robots and doubles; words that all of them begin with are removed.
-        is_named: whether the title contains the name of the owner, for each owner.
+        owners: names of the robots and doubles. Words that all of them begin with are removed.
+        is_named: for each owner, whether titles contain the owner's name.
         longest: maximum length of a robot's or a joint's name, characters.
     """
     of_joints = iter(shortened([name for names in joints for name in names], longest))
@@ -91,7 +91,7 @@ def without_common_start(owners: Sequence[str]) -> list[str]:
 
 @lru_cache(maxsize=16)  # called for each frame
 def frame_titles(names: tuple[str, ...]) -> list[str]:
-    """Returns the names of frames without the words that all robots' names begin with."""
+    """Returns the names of frames without the words that the names of all robots begin with."""
     owners = list(dict.fromkeys(name.partition("/")[0] for name in names if "/" in name))
     short = dict(zip(owners, without_common_start(owners), strict=True))
     return [
@@ -102,7 +102,7 @@ def frame_titles(names: tuple[str, ...]) -> list[str]:
 
 
 def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
-    """Returns names of at most `longest` characters; the middle of longer names is removed.
+    """Returns names without their middle parts if they exceed `longest` characters.
 
     Names that would become equal are shortened less.
     """

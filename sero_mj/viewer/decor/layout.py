@@ -10,7 +10,7 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 
 LEFT, RIGHT = 0, 1
-_RAMP = 6  # distance, in gaps, over which an approaching column gradually avoids a corner
+_RAMP = 6  # distance from a corner panel at which a column begins to avoid it, in gaps
 _MIN_GAP = (
     0.2  # minimum fraction of the gap before a second column is started or robots are covered
 )
@@ -29,19 +29,19 @@ def columns(
     kept_free: Array | None = None,
     covered: Array | None = None,
 ) -> Array:
-    """Returns the centers of all panels of an image, (k, 2).
+    """Returns the centers of all panels of an image, shape (k, 2), pixels.
 
     Args:
-        anchors: pixel of every panel's joint, (k, 2), in vertical order of the panels, lowest
-            first.
-        sizes: width and height of every panel, (k, 2), pixels.
-        side: `LEFT` or `RIGHT`, (k,).
+        anchors: pixel of every panel's joint, shape (k, 2), in vertical order of the panels,
+            lowest first.
+        sizes: width and height of every panel, shape (k, 2), pixels.
+        side: `LEFT` or `RIGHT` for every panel, shape (k,).
         gap: minimum space between panels, pixels.
         beside: space between the innermost columns and the outermost joint, pixels.
-        span: left and right limit of the robots, pixels; None for those of the anchors.
-        kept_free: rectangles in the corners of the image (legend, errors, flange check) that
-            panels do not cover: left, bottom, right, top, (c, 4), pixels.
-        covered: rectangles covered by robots, which panels avoid if possible, (m, 4), pixels.
+        span: left and right limit of the robots, pixels (default: the limits of the anchors).
+        kept_free: left, bottom, right and top of rectangles in the corners of the image (legend,
+            errors, flange check) that panels must not cover, shape (c, 4), pixels.
+        covered: rectangles covered by robots that panels avoid if possible, shape (m, 4), pixels.
     """
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
@@ -102,12 +102,12 @@ def with_room(
     A narrow image has one column, on the right.
 
     Args:
-        side: `LEFT` or `RIGHT`, (k,).
+        side: `LEFT` or `RIGHT` for every panel, shape (k,).
         gap: minimum space between panels, pixels.
-        may_move: whether panels may change sides if their own side has no room.
+        may_move: whether a panel may move to the other side if its own side has no room.
 
     Returns:
-        their number, and the side of every panel (k,).
+        number of panels that fit, and the side of every panel, shape (k,).
     """
     column = float(sizes[:, 0].max(initial=0.0)) + gap
     least = float(sizes[:, 1].min(initial=height)) + _MIN_GAP * gap
@@ -137,7 +137,7 @@ def is_narrow(sizes: Array, gap: float, width: float) -> bool:
 
 
 def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
-    """Returns the vertical range that corners leave free on one side of the image, pixels."""
+    """Returns the vertical range between corner panels on one side of the image, pixels."""
     on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
     # A corner panel that extends beyond the middle also limits the other side.
     wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
@@ -145,7 +145,7 @@ def side_limits(corners: Array, side: int, width: float, height: float) -> tuple
 
 
 def limits(corners: Array, height: float) -> tuple[float, float]:
-    """Returns the vertical range that corners leave free, at least a third of the image."""
+    """Returns the vertical range between corner panels, which is at least a third of the image."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
     above = float(corners[~at_bottom, 1].min(initial=height))
@@ -156,8 +156,8 @@ def limits(corners: Array, height: float) -> tuple[float, float]:
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
     """Returns corners of the other side, scaled by their distance from a column at `inner`.
 
-    A corner that reaches the column has its full height, one at a distance of `ramp` pixels has
-    height zero. In between, heights are interpolated, so that panels do not jump when the robot
+    A corner that reaches the column has its full height. A corner at a distance of `ramp` pixels
+    has height zero. Heights in between are interpolated, so that panels do not jump when the robot
     moves.
     """
     away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
@@ -180,18 +180,20 @@ def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
-    """Moves intervals apart by the smallest distances that keep their order.
+    """Moves intervals apart by the smallest distances without changing their order.
+
+    If the intervals do not fit between `low` and `high`, the gap is reduced. If they still do not
+    fit, they overlap evenly.
 
     Args:
-        centres: desired centers, (k,), pixels.
-        heights: (k,), pixels.
+        centres: desired centers of the intervals, shape (k,), pixels.
+        heights: lengths of the intervals, shape (k,), pixels.
         gap: minimum space between two intervals, pixels.
-        low: lower bound of all intervals.
-        high: upper bound of all intervals. If they do not fit, the gap is reduced, then they
-            overlap evenly.
+        low: lower bound of all intervals, pixels.
+        high: upper bound of all intervals, pixels.
 
     Returns:
-        centers (k,), lowest first.
+        centers of the intervals, shape (k,), lowest first.
     """
     if not len(centres):
         return centres
@@ -217,8 +219,8 @@ def spread_around(
     """Moves intervals apart as `spread` does, and out of blocked ranges if there is room.
 
     Args:
-        blocked: lower and upper end of every blocked range, (b, 2), pixels; ignored if the
-            intervals do not fit between the ranges.
+        blocked: lower and upper end of every blocked range, shape (b, 2), pixels. Blocked ranges
+            are ignored if the intervals do not fit between them.
     """
     rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
     for between in (gap, _MIN_GAP * gap) if rooms else ():
@@ -273,17 +275,17 @@ def _rooms_between(
 def place_clear(
     centres: Array, sizes: Array, taken: Array, low: Array, high: Array, is_needed: Bools
 ) -> tuple[Array, Bools]:
-    """Moves rectangles off occupied ones and off each other by the smallest distances.
+    """Moves rectangles by the smallest distances to avoid overlap with each other and with others.
 
     Args:
-        taken: left, bottom, right and top of fixed rectangles, (m, 4), pixels.
-        low: lower left pixel of the available area, (2,).
-        high: upper right pixel, (2,).
-        is_needed: whether each rectangle is also placed if there is no room, (k,).
+        taken: left, bottom, right and top of fixed rectangles, shape (m, 4), pixels.
+        low: lower left pixel of the available area, shape (2,).
+        high: upper right pixel of the available area, shape (2,).
+        is_needed: mask (k,) of rectangles that are placed even if there is no room for them.
 
     Returns:
-        centers (k, 2), and whether there is room for each, (k,). Rectangles without room do not
-        move.
+        centers of the rectangles, shape (k, 2), and a mask (k,) of rectangles with room.
+        Rectangles without room are not moved.
     """
     placed, has_room = centres.copy(), np.ones(len(centres), bool)
     for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
@@ -310,18 +312,18 @@ def place_clear(
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
-    """Returns the start for every end of straight leaders such that they do not cross, (k,).
+    """Returns the index of the start for each end, shape (k,), so that leaders do not cross.
 
-    Two leaders that cross swap their starts, which reduces their total length, so the loop
-    terminates. `least_gain` is the minimum reduction in pixels; smaller ones belong to leaders that
-    barely cross.
+    Two crossing leaders swap their starts. This reduces their total length, so the loop terminates.
+    `least_gain` is the minimum reduction of the length in pixels. Leaders with a smaller reduction
+    barely cross, and do not swap. Leaders are straight.
     """
     index = np.arange(len(starts))
     for _ in range(len(index) ** 2):
         crossing = crossings(starts[index], ends)
         if not crossing.any():
             break
-        length = np.linalg.norm(starts[index][:, None] - ends, axis=2)  # of start i to end j
+        length = np.linalg.norm(starts[index][:, None] - ends, axis=2)  # from start i to end j
         own = length.diagonal()
         gain = np.where(crossing, own[:, None] + own - length - length.T, 0.0)
         i, j = np.unravel_index(gain.argmax(), gain.shape)
@@ -332,16 +334,16 @@ def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
 
 
 def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float) -> Array:
-    """Returns where leaders bend so that they do not run behind other panels of their column.
+    """Returns the bends of leaders that would otherwise run behind other panels of their column.
 
-    Such a leader leaves its panel along the edge of the column and turns to its joint at the end of
-    the column. Leaders of farther panels are farther from the edge, so that leaders do not cross.
+    A bent leader runs along the edge of its column, and turns to its joint at the end of the
+    column. Leaders of farther panels are farther from the edge, so that leaders do not cross.
 
     Args:
         lane: distance between leaders beside a column, pixels.
 
     Returns:
-        (k, 2), pixels; the start of a straight leader.
+        bends of all leaders, shape (k, 2), pixels. The bend of a straight leader is its start.
     """
     low, high = centres - sizes / 2, centres + sizes / 2
     is_behind = behind(starts, ends, low, high)
@@ -375,8 +377,8 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
     """Returns how often leaders cross each other or run behind panels other than their own.
 
     Args:
-        low: lower left pixels of the panels, (k, 2).
-        high: upper right pixels, (k, 2).
+        low: lower left pixels of the panels, shape (k, 2).
+        high: upper right pixels of the panels, shape (k, 2).
     """
     k = len(starts)
     crossing = crossings(np.concatenate([starts, bends]), np.concatenate([bends, ends]))
@@ -387,7 +389,7 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
 
 
 def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
-    """Returns which straight leaders (rows) run behind which other panels, (k, k) bool."""
+    """Returns a mask (k, k) of straight leaders (rows) that run behind other panels (columns)."""
     along = ends - starts
     along = np.where(np.abs(along) < 1e-9, 1e-9, along)[:, None]
     first, second = (
@@ -401,7 +403,7 @@ def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
 
 
 def crossings(starts: Array, ends: Array) -> Bools:
-    """Returns which straight leaders cross, (k, k) bool."""
+    """Returns a mask (k, k) of the pairs of straight leaders that cross."""
     along = ends - starts
 
     def side_of(points: Array) -> Array:

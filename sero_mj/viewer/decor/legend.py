@@ -27,9 +27,9 @@ _WORDS = {
     "torques": ("joint torque", "torque limit"),
     "torque_error": ("torque error, commanded - measured", "torque limit"),
     "joint_accelerations": ("joint acceleration", "acceleration limit"),
-    "singularity": ("towards the singularity", "at it"),
-    "torque_without_gravity": ("torque less the model's gravity", "torque limit"),
-    "torque_without_friction": ("torque less the model's friction", "torque limit"),
+    "singularity": ("direction towards the singularity", "at the singularity"),
+    "torque_without_gravity": ("torque minus the model's gravity torque", "torque limit"),
+    "torque_without_friction": ("torque minus the model's friction", "torque limit"),
 }
 _STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
 _MAX_NAMES = 32  # characters of the names before a note or a scale
@@ -63,12 +63,12 @@ def _arrows_line(quantity: str, what: str, has_sliding: bool) -> str:
 
 
 class Legend(Feature):
-    """Panels for all quantities that arrows show, in the lower left corner.
+    """Shows a panel for each quantity that arrows show, in the lower left corner.
 
-    Below them are the notes of the scene and its robots.
+    Notes of the scene and its robots are shown below these panels.
 
     Attributes:
-        is_steady: whether the scale of a smart arrow remains after the arrow has disappeared.
+        is_steady: whether the scale of a smart arrow stays visible after the arrow has disappeared.
     """
 
     order = 40
@@ -85,7 +85,7 @@ class Legend(Feature):
         self._known = np.zeros_like(self._routed)  # arrows drawn so far, by quantity and joint
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the legend if it is switched on and there is an arrow or a note."""
+        """Adds the legend if it is switched on and there are arrows or notes to explain."""
         frame.corners += self._shown(frame)
 
     def _shown(self, frame: Frame) -> list[Panels]:

@@ -1,4 +1,4 @@
-"""Billboards of limbs: one for all joints of an arm or hand that has no room for each joint."""
+"""Limb billboards: one billboard for an arm or hand if its joints have no room for their own."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class BillboardLimbs:
     """Limbs of a world, for billboards.
 
     Attributes:
-        groups: index of the robot whose billboards every owner of joints joins, (len(owners),);
-            each double has its own.
-        beside: number of the limb whose billboards every joint's billboard joins, (N,): fingers
-            join their arm.
-        of_joint: number of the limb of every joint, (N,), an index of `names`.
+        groups: for each owner of joints, the index of the robot beside which its billboards are
+            placed, shape (len(owners),). Each double has its own index.
+        beside: for each joint, the number of the limb beside which its billboard is placed, shape
+            (N,). Billboards of fingers are placed beside their arm.
+        of_joint: number of each joint's limb, shape (N,), an index of `names`.
     """
 
     groups: Ints
@@ -36,15 +36,16 @@ class BillboardLimbs:
         return np.flatnonzero(self.of_joint == self.of_joint[joint])
 
     def collapsed(self, shown: Ints, is_clicked: Bools, room: int) -> Bools:
-        """Returns the joints that are replaced by the billboard of their limb, (k,) bool.
+        """Returns a mask (k,) of joints whose billboards are replaced by that of their limb.
 
-        Limbs with the most joints are collapsed first, until the remaining billboards fit. Limbs
-        with equally many joints, such as two legs, are collapsed together.
+        Limbs are collapsed in descending order of their number of joints, until the remaining
+        billboards fit. Limbs with the same number of joints, such as two legs, are collapsed
+        together.
 
         Args:
-            shown: joints with a billboard, (k,).
-            is_clicked: whether each has its own billboard in any case, (k,).
-            room: number of billboards that fit.
+            shown: indices of joints with a billboard, shape (k,).
+            is_clicked: mask (k,) of joints that always have their own billboard.
+            room: number of billboards that fit into the image.
         """
         limb = self.of_joint[shown]
         collapsed = np.zeros(len(shown), bool)
@@ -64,16 +65,16 @@ class BillboardLimbs:
 def billboard_limbs(world: WorldView) -> BillboardLimbs:
     """Returns the limbs of a world.
 
-    Limbs that are small compared to the limb that carries them are combined into one and join the
-    billboards of their carrier. The same holds for robots carried by another one, such as the
-    fingers of a hand.
+    Limbs that are small compared to the limb that carries them are combined into one limb. Its
+    billboards are placed beside those of the carrier. The same holds for robots that another robot
+    carries, such as a hand with fingers.
     """
     joints, parts = world.joints, list(world.owners.values())
     is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
     groups = np.where(is_double, np.arange(len(parts)), owner_groups(world))
     centres = world.state(world.make_data()).site_xpos[joints.centre_site]
     beside, limb = joints.limb.copy(), joints.limb.copy()
-    carried: dict[int, int] = {}  # combined limb by the limb that carries it
+    carried: dict[int, int] = {}  # maps a carrying limb to the combined limb that it carries
     for part in parts:
         first = part.joints.start
         n = part.joints.stop - first

@@ -45,7 +45,7 @@ _SIZES = {
 }  # fmt: skip
 _INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # MuJoCo's default is opaque and hides the arm
 _WEIGHT_LENGTH = 0.25  # length of the arrow of the model's whole weight, fraction of its extent
-_GLOW = 0.35  # minimum emission, as of other decor
+_GLOW = 0.35  # minimum emission, the same as for other decor
 _CAPACITY = 4000
 
 
@@ -102,7 +102,7 @@ class ModelDrawing:
         self.add(data, toggles, scene)
 
     def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
-        """Returns only the geoms of the parts, (k,) of `GEOM`."""
+        """Returns only the geoms of the parts, as an array (k,) of type `GEOM`."""
         if not _has_parts(toggles):
             return np.zeros(0, GEOM)
         if self._own is None:

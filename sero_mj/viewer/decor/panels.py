@@ -28,11 +28,11 @@ PADDING = 0.35  # on every side, fraction of a line's height
 
 
 def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: ImageView) -> Array:
-    """Returns width and height of panels, (k, 2), pixels.
+    """Returns the widths and heights of panels, shape (k, 2), pixels.
 
     Args:
-        text_widths: width of the widest line of every panel, (k,), pixels.
-        lines: number of lines of every panel, (k,).
+        text_widths: width of the widest line of every panel, shape (k,), pixels.
+        lines: number of lines of every panel, shape (k,) or one number for all.
     """
     line = view.font.height
     sizes = np.empty((len(text_widths), 2))
@@ -46,13 +46,13 @@ class Panels:
     """Panels with text, laid out in pixels.
 
     Attributes:
-        texts: lines of every panel, top first.
-        rgba: one color, or (k, 4).
-        items: index of the joint or frame that every panel belongs to, (k,).
-        in_front: whether they cover other panels; covered text is not drawn.
-        has_values: whether their lines are values, which may be aligned in columns.
-        bars: light bars on the panels: left, bottom, width and height, (m, 4), pixels.
-        of_arrows: whether they explain arrows and are useless without arrows.
+        texts: lines of every panel, top line first.
+        rgba: one color for all panels, or one color each, shape (k, 4).
+        items: index of the joint or frame that every panel belongs to, shape (k,).
+        in_front: whether the panels cover other panels. Covered text is not drawn.
+        has_values: whether the lines contain values that may be aligned in columns.
+        bars: left, bottom, width and height of light bars on the panels, shape (m, 4), pixels.
+        of_arrows: whether the panels explain arrows and are useless without arrows.
     """
 
     centres: Array
@@ -78,7 +78,7 @@ class Panels:
 
 
 def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Returns centers and sizes of panels, moved into the image."""
+    """Returns the centers and sizes of panels, which are moved into the image if necessary."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
@@ -87,7 +87,7 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns labels below world points (k, 3) and the indices of visible points; None for none."""
+    """Returns labels below visible points, and their indices; None if no point is visible."""
     pixels, depth = view.project(places)
     visible = view.sees(pixels, depth).nonzero()[0]
     if not len(visible):
@@ -98,12 +98,12 @@ def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Pane
 
 
 def clear_of(labels: list[Panels], others: list[Panels], view: ImageView) -> list[Panels]:
-    """Returns labels moved off other panels and off each other, as far as there is room.
+    """Returns labels, moved so that they overlap neither each other nor other panels.
 
-    Names without room are omitted, because overlapping text is unreadable.
+    Labels without room are omitted, because overlapping text is unreadable.
 
     Args:
-        labels: labels to move; the first ones are placed first.
+        labels: labels to move. The first ones are placed first.
         others: fixed panels.
     """
     if not labels:
@@ -135,11 +135,11 @@ def draw_panels(
 
     Args:
         groups: panels of different colors.
-        lighter: fraction of white added to their colors.
+        lighter: fraction of white added to the panels' colors.
 
     Returns:
-        the panels as drawn, in this order, with empty lines if other panels cover them; an
-        empty list if they exceed the buffer's capacity.
+        the drawn panels in this order. Panels covered by others have empty lines. The list is
+        empty if the panels exceed the buffer's capacity.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
@@ -277,7 +277,7 @@ def _draw_tips(
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # Corners are projected one by one, since lenses bend straight lines.
+    # Corners are projected one by one, because lens distortion bends straight lines.
     first = starts - across * (base / 2)
     tip = ends - across * (base / 2) if at_corner else ends
     pixels = np.concatenate((first, first + across * base, tip))

@@ -34,8 +34,8 @@ class PartNames(Feature):
 
 
 def _apart(labels: Panels) -> Panels:
-    # Labels move a few lines down, or are omitted: farther away, a name would seem to belong to
-    # another part. `js/src/labels.js` does the same.
+    # Labels move a few lines down at most, else they are omitted. Farther away, a name would seem
+    # to belong to another part. `js/src/labels.js` does the same.
     centres, placed = labels.centres.copy(), list[int]()
     for k, (size, centre) in enumerate(zip(labels.sizes, labels.centres, strict=True)):
         apart = (labels.sizes[placed] + size) / 2
@@ -48,9 +48,9 @@ def _apart(labels: Panels) -> Panels:
 
 
 def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Array]:
-    """Returns names and positions (k, 3), m, of parts of the model, including fixed ones.
+    """Returns the names and positions (k, 3), m, of parts of the model.
 
-    Doubles, received frames, cameras and unnamed parts are omitted.
+    Fixed parts are included. Doubles, received frames, cameras and unnamed parts are omitted.
 
     Args:
         chosen: index in `PART_NAMES`.

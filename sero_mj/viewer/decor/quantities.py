@@ -1,11 +1,12 @@
 """Per-joint values that decor shows: received values and values computed from them.
 
-Proximity to a singularity was the first use of round arrows (the paper's reference 14). The measure
-is the inverse condition number c of the Jacobian with lengths in units of the robot's reach: 0 at a
-singularity, at most 1. Close to a singularity, every joint's arrow shows the direction of motion
-towards it, with a width in proportion to the joint's contribution.
+Proximity to a singularity was the first use of round arrows (the paper's reference 14). It is
+measured by the inverse condition number of the Jacobian, with lengths in units of the robot's
+reach. This number is 0 at a singularity and at most 1. Close to a singularity, each joint's arrow
+shows the direction of motion towards the singularity, with a width in proportion to the joint's
+contribution.
 
-Source: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
+Sources: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
 derivative of the Jacobian as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
 """
 
@@ -33,17 +34,17 @@ QUANTITY_NAMES = {
 }
 # A value above this multiple of its limit is treated as an error of its source.
 IMPLAUSIBLE_FACTOR = 1e3
-DOUBTFUL_FACTOR = 10.0  # larger values are reported in addition to a striped arrow
+DOUBTFUL_FACTOR = 10.0  # values above this multiple of the limit are also reported as text
 
 
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
     """Returns all received values of all joints, and the values computed from them.
 
-    If the largest torque so far replaces a joint's limit, this updates it.
+    If the largest torque so far replaces a joint's limit, this also updates that limit.
 
     Returns:
-        arrays (N,) by name: all per-joint inputs, `joint_angles`, and `torque_error` (commanded
-        - measured); NaN for no data.
+        mapping from names to values of all joints, shape (N,), NaN for no data. The names are all
+        per-joint inputs, `joint_angles`, and `torque_error` (commanded - measured).
     """
     data = world.state(data)
     joints, userdata = world.joints, data.userdata
@@ -94,13 +95,13 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
 def arrow_values(
     world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Returns the value that every joint's arrow shows, and the value at full width.
+    """Returns the value that each joint's arrow shows, and the value at which it has full width.
 
     Args:
-        quantity: index in `ARROW_QUANTITIES`, (N,).
+        quantity: index of each joint's quantity in `ARROW_QUANTITIES`, shape (N,).
 
     Returns:
-        values (N,), NaN for no data, and limits (N,), inf for none.
+        values, shape (N,), NaN for no data, and limits, shape (N,), inf if there is no limit.
     """
     joints = world.joints
     shown = np.full(len(joints.names), np.nan)
@@ -145,8 +146,9 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
     """Returns the proximity to a singularity and the direction of every joint towards it.
 
     Returns:
-        (n,), -1 to 1: the sign is the direction of motion towards the singularity; the largest
-        magnitude is the proximity, 0 at `FAR` and above, 1 at the singularity.
+        values from -1 to 1, shape (n,). The sign is the direction of motion towards the
+        singularity. The largest magnitude is the proximity: 1 at the singularity, 0 for inverse
+        condition numbers of `FAR` and more.
     """
     towards = np.zeros(part.robot.n)
     if not len(part.chain):
@@ -160,7 +162,7 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
 
 
 def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
-    """Returns the geometric Jacobian (6, m) of the flange, lengths in units of the robot's reach.
+    """Returns the flange's geometric Jacobian (6, m), with lengths in units of the robot's reach.
 
     It has a column for every joint that moves the flange. It is computed from the sites at the
     joints, because a double has no degrees of freedom in MuJoCo.
@@ -182,10 +184,11 @@ def inverse_condition(J: Array) -> tuple[float, Array]:
     """Returns the inverse condition number of a Jacobian and its gradient in the joint angles.
 
     Args:
-        J: (6, n), base frame; the angular part of a prismatic joint is zero.
+        J: Jacobian in the base frame, shape (6, n). The angular part of a prismatic joint is zero.
 
     Returns:
-        smallest over largest singular value, and its gradient (n,), per rad or m.
+        smallest over largest singular value, and the gradient of this ratio, shape (n,), per rad
+        or m.
     """
     u, s, vt = np.linalg.svd(J, full_matrices=False)
     if s[0] < 1e-12:
@@ -197,7 +200,7 @@ def inverse_condition(J: Array) -> tuple[float, Array]:
 
 
 def _hessian(J: Array) -> Array:
-    """Returns dJ/dq, (n, 6, n): the derivative of column j by joint i is [i, :, j]."""
+    """Returns dJ/dq, shape (n, 6, n), where [i, :, j] is the derivative of column j by joint i."""
     n = J.shape[1]
     linear, angular = J[:3].T, J[3:].T
     i, j = np.indices((n, n))

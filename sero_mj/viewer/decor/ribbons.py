@@ -21,8 +21,8 @@ _STRIPE_RGB = (0.08, 0.08, 0.09)
 
 _ARC = np.deg2rad(315.0)
 _HEAD_ARC = np.deg2rad(46.0)
-# Number of heads, and of steps along the arc of each head, finest first. The last head is at the
-# tip. If the link hides one head, another is visible.
+# Number of heads, and number of steps along the arc of each head, finest first. The last head is at
+# the tip. Other heads stay visible if the link hides the last one.
 _HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
 _FEWEST_BOXES = 8  # minimum number of boxes if there is more than one head
 _MARK_SIZE = 0.7  # protrusion of the other heads, fraction of the protrusion of the last head
@@ -37,14 +37,14 @@ _FULL_HEAD_WIDTH = 0.14
 
 @dataclass(frozen=True, eq=False)
 class Ribbons:
-    """Pose and appearance of k round arrows.
+    """Poses and appearance of k round arrows.
 
     Attributes:
-        items: indices of the items they belong to, (k,).
-        axes: rotations with z along the axis of the arrow (right-hand rule), (k, 3, 3).
-        phase: angle of the tail about z from x, in the arrow's direction, (k,), rad.
-        sign: 1, or -1 for the opposite direction, (k,).
-        striped: whether they are striped, for values beyond the limit, (k,) bool.
+        items: index of the item that each arrow belongs to, shape (k,).
+        axes: rotations with z along the axis of the arrow (right-hand rule), shape (k, 3, 3).
+        phase: angle of the tail about z from x, in the arrow's direction, shape (k,), rad.
+        sign: 1, or -1 for the opposite direction, shape (k,).
+        striped: mask (k,) of arrows that are striped because their values exceed the limit.
     """
 
     items: NDArray[np.intp]
@@ -127,15 +127,15 @@ class RibbonShape:
     """Shape shared by all round arrows with the same number of geoms.
 
     Attributes:
-        middle: angle of the center of every box from the tail, (b,), rad.
-        half_angle: half the angle of every box, (b,), rad.
-        rings: angle of every rectangle of the heads, from the barbs of a head to its tip, (r,),
-            rad.
-        own: factor of the ribbon's width at the rectangles, (r,).
-        flare: factor of the protrusion of a full head at the rectangles, (r,).
-        triangles: three of the corners (4 r) for each triangle, counterclockwise from outside,
-            (t, 3).
-        dark: boxes and triangles that are dark in a striped arrow, (b + t,) bool.
+        middle: angle from the tail to the center of every box, shape (b,), rad.
+        half_angle: half the angle of every box, shape (b,), rad.
+        rings: angle of every rectangle of the heads, from the barbs of a head to its tip, shape
+            (r,), rad.
+        own: factor of the ribbon's width at each rectangle, shape (r,).
+        flare: factor of a full head's protrusion at each rectangle, shape (r,).
+        triangles: indices of each triangle's corners among the 4 r corners of the rectangles,
+            counterclockwise seen from outside, shape (t, 3).
+        dark: mask (b + t,) of boxes and triangles that are dark in a striped arrow.
     """
 
     middle: Array
@@ -157,7 +157,7 @@ def _triangles_of(heads: int, steps: int) -> int:
 
 @cache
 def ribbon_shape(budget: int) -> RibbonShape:
-    """Returns the shape of round arrows with at most `budget` geoms, but at least six.
+    """Returns the shape of round arrows with at most `budget` geoms, which is at least six.
 
     With a small budget, only the heads are drawn.
     """

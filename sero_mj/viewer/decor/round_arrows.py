@@ -1,14 +1,16 @@
-"""Round arrows: they rotate about their joint and show a value by direction, color and width.
+"""Round arrows, which rotate about their joint and show a value by direction, color and width.
 
-An arrow rotates at constant speed, by the right-hand rule about the joint's z axis for a positive
-torque. The color also shows the sign. Arrows of doubles are transparent and slightly smaller.
+An arrow rotates at constant speed. For a positive torque it rotates about the joint's z axis by the
+right-hand rule. The color also shows the sign. Arrows of doubles are transparent and slightly
+smaller.
 
-If there is a limit, the width is proportional to the square root of the value: `arrow_radius`
-(times `arrow_width_scale` / 0.01) at the limit, and a seventh of the full width at 2 % of the
-limit. It is zero in the dead band and reaches this curve at twice the dead band. Without a limit,
-the width is `arrow_width_scale` m per unit, or equals the radius at the joint's `arrow_load`.
-Beyond the limit the ribbon is striped. Source: section 2.2 of the paper; square root, dead band and
-stripes are additions.
+If there is a limit, the width is proportional to the square root of the value. At the limit, the
+width is `arrow_radius` times `arrow_width_scale` / 0.01. At 2 % of the limit, it is a seventh of
+this. The width is zero in the dead band and reaches the square root curve at twice the dead band.
+Without a limit, the width is `arrow_width_scale` m per unit, or equals the radius at the joint's
+`arrow_load`. Beyond the limit, the ribbon is striped.
+
+Source: section 2.2 of the paper. Square root, dead band and stripes are additions to the paper.
 """
 
 from __future__ import annotations
@@ -46,19 +48,19 @@ _MAX_GEOMS, _RESERVED_GEOMS = 2048, 60
 def arrow_widths(
     values: Array, limit: Array, radius: Array, width_scale: Array, dead_band: Array
 ) -> NDArray[np.float64]:
-    """Returns the width of the arrow of every joint.
+    """Returns the width of each joint's arrow.
 
     Args:
-        values: values of the arrows, (N,); the sign is ignored.
-        limit: value at which an arrow has full width, (N,); inf for none.
-        radius: `arrow_radius` (N,), m.
-        width_scale: `arrow_width_scale` (N,), m per unit of the value. If there is a limit, it
-            is a factor, relative to `DEFAULT_WIDTH_SCALE`.
-        dead_band: fraction of the limit below which the width is zero, (N,).
+        values: values of the arrows, shape (N,). The sign is ignored.
+        limit: value at which an arrow has full width, shape (N,); inf if there is no limit.
+        radius: `arrow_radius` of each joint, shape (N,), m.
+        width_scale: `arrow_width_scale` of each joint, shape (N,), m per unit of the value. If
+            there is a limit, the width is scaled by the ratio to `DEFAULT_WIDTH_SCALE` instead.
+        dead_band: fraction of the limit below which the width is zero, shape (N,).
 
     Returns:
-        (N,), m; continuous and monotone in the value, 0 up to the dead band and for NaN, at
-        most `WIDEST` times the radius.
+        widths, shape (N,), m. They are continuous and monotone in the value, 0 up to the dead band
+        and for NaN, and at most `WIDEST` times the radius.
     """
     size = np.abs(values)
     size[~np.isfinite(size)] = 0.0
@@ -71,9 +73,9 @@ def arrow_widths(
 
 
 def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.float64]:
-    """Returns the widths of drawn arrows, (N,), m; 0 for arrows that are not drawn.
+    """Returns the widths of arrows, shape (N,), m, with 0 for arrows that are not drawn.
 
-    `values` and `limit` are those of `arrow_widths`.
+    See `arrow_widths` for `values` and `limit`.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -86,7 +88,7 @@ def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.
 
 
 class RoundArrows(Feature):
-    """The arrows of one world's joints."""
+    """Draws the round arrows of all joints of one world."""
 
     order = 90  # last, so that arrows are dropped first if the capacity is exceeded
 

@@ -40,7 +40,7 @@ class SceneWriter:
         """Appends the buffer's geoms, with or without panels and labels.
 
         Returns:
-            number of geoms that exceeded the scene's capacity.
+            number of geoms that were dropped because they exceeded the scene's capacity.
         """
         self.mark(buffer)
         dropped = sum(self.add_double(drawn) for drawn in buffer.drawn_doubles)
@@ -118,7 +118,7 @@ class _DoublePainter:
 def struct_view(scene: mujoco.MjvScene) -> NDArray[Any]:
     """Returns all geoms of a scene as a structured array that shares their memory.
 
-    The array is valid as long as the scene exists.
+    The array is valid only while the scene exists.
 
     Raises:
         RenderError: the memory layout of this version of MuJoCo differs from `GEOM`.

@@ -1,8 +1,9 @@
 """Smart arrows: Cartesian forces, torques and velocities at their point of action (section 2.4).
 
-The magnitude is the length of a straight arrow, or the width of a round arrow that rotates about
-its direction by the right-hand rule. The legend states the scale. Magnitudes above `longest` are
-drawn at that length and dark, or at that width and striped.
+The magnitude is the length of a straight arrow. A round arrow shows the magnitude by its width, and
+rotates about the vector by the right-hand rule. The legend states the scale. Magnitudes above
+`longest` are drawn with the maximum length or width. Such straight arrows are dark, and such round
+arrows are striped.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ _MAX_GROUP = 2  # last visible group of geoms
 
 
 class SmartArrows(Feature):
-    """The smart arrows of one world, and the billboards with their values."""
+    """Draws the smart arrows of one world, and the billboards with their values."""
 
     order = 20
 
@@ -100,8 +101,9 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
     """Returns the vectors of all smart arrows.
 
     Returns:
-        components as received (K, 3), and in world coordinates (K, 3), SI units; NaN for no
-        data and for values above `IMPLAUSIBLE_FACTOR` times the value of the longest arrow.
+        components as received and in world coordinates, shape (K, 3) each, in SI units. Components
+        are NaN for no data and for values above `IMPLAUSIBLE_FACTOR` times the value of the longest
+        arrow.
     """
     table = world.arrows
     components = data.userdata[table.slots]
@@ -122,10 +124,9 @@ def draw_smart_arrows(
     """Draws every smart arrow that is shown, has data and is not too short.
 
     Args:
-        vectors: world coordinates, (K, 3), SI units, NaN for no data.
-        stale: arrows without fresh data, which are drawn gray, (K,) bool.
-        ends_there: straight arrows that end at their point instead of starting there, (K,)
-            bool.
+        vectors: vectors in world coordinates, shape (K, 3), in SI units, NaN for no data.
+        stale: mask (K,) of arrows without fresh data, which are drawn in gray.
+        ends_there: mask (K,) of straight arrows that end at their point instead of starting there.
     """
     table, buffer, data = world.arrows, frame.buffer, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
@@ -169,7 +170,7 @@ def draw_smart_arrows(
 
 
 def drawn_sizes(world: WorldView, vectors: Array) -> Array:
-    """Returns the size of every smart arrow about its point (K,), m; 0 for no data."""
+    """Returns the size of every smart arrow about its point, shape (K,), m, with 0 for no data."""
     table = world.arrows
     magnitude = np.nan_to_num(np.linalg.norm(vectors, axis=1))
     length = np.minimum(table.scale * magnitude, table.longest)
@@ -179,7 +180,7 @@ def drawn_sizes(world: WorldView, vectors: Array) -> Array:
 def frames_along(directions: Array) -> Array:
     """Returns rotations (k, 3, 3) whose z axes are unit vectors (k, 3).
 
-    They are continuous except at -`_FROM`, so that noise does not make an arrow jump.
+    The rotations are continuous except at -`_FROM`, so that noise does not make an arrow jump.
     """
     along = directions @ _FROM
     axis = np.cross(_FROM, directions)

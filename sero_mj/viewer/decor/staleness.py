@@ -1,4 +1,4 @@
-"""Marks items without fresh data: they are gray, and a label shows the age of the data."""
+"""Draws items without fresh data in gray, with a label that shows the age of the data."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ class _Routed:
     """An item with routes.
 
     Attributes:
-        ages: indices in `userdata` of the ages of its inputs' sources, (k,).
-        flags: indices in `userdata` of who last set these inputs, (k,).
+        ages: indices in `userdata` of the ages of the item's input sources, shape (k,).
+        flags: indices in `userdata` of flags that state who last set each input, shape (k,).
         stale_after: age from which data is stale, s.
         base: body at whose origin the label is shown; -1 for arrows and frames.
-        geoms: its geoms in the model, (ngeom,) bool.
+        geoms: mask (ngeom,) of the item's geoms in the model.
     """
 
     name: str
@@ -49,7 +49,7 @@ _Labelled = tuple[int, list[str]]  # body at whose origin a group's label is, an
 
 
 class Staleness:
-    """Finds items without fresh data, grays and labels them."""
+    """Finds items without fresh data, draws them in gray, and labels them."""
 
     def __init__(self, world: WorldView) -> None:
         scene = world.scene
@@ -74,7 +74,7 @@ class Staleness:
         self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
 
     def find(self, data: mujoco.MjData) -> dict[str, str]:
-        """Returns messages for all items without fresh data, by name."""
+        """Returns a mapping from the names of items without fresh data to messages."""
         ages = data.userdata[self._all]
         if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
             return {}
@@ -93,11 +93,11 @@ class Staleness:
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
-        """Returns the joints of robots and doubles without fresh data, (N,) bool."""
+        """Returns a mask (N,) of the joints of robots and doubles without fresh data."""
         return stale_mask(self._owners, stale)[self._owner]
 
     def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
-        """Returns the time without data of every joint, (N,), s; inf before the first data."""
+        """Returns the time without data of each joint, shape (N,), s; inf before the first data."""
         of_owner = dict.fromkeys(self._owners, 0.0)
         for item in self._routed:
             if item.name in stale and item.name in of_owner:
@@ -110,7 +110,7 @@ class Staleness:
     ) -> list[Panels]:
         """Grays stale robots and doubles, and returns their labels."""
         buffer.grey = None
-        texts: dict[int, list[bytes]] = {}  # lines by base: of a robot and its doubles
+        texts: dict[int, list[bytes]] = {}  # maps the base of a robot and its doubles to lines
         labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
         messages = dict(stale)
         for group, (base, names) in self._groups.items():
@@ -148,15 +148,15 @@ def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
 
 
 def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
-    """Returns which names have no fresh data, (k,) bool."""
+    """Returns a mask (k,) of the names without fresh data."""
     if not stale:
         return np.zeros(len(names), bool)
     return np.array([name in stale for name in names], bool)
 
 
 def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
-    # Of groups in no other group: the label is at a robot that no other robot carries, if any, and
-    # the label of doubles is below that of their robots.
+    # Only groups that are in no other group have a label. It is at a robot that no other robot
+    # carries, if there is one. The label of doubles is below that of their robots.
     found: dict[str, _Labelled] = {}
     for group, robots in world.scene.membership.members.items():
         names = [name for name in robots if name in world.robots]

@@ -1,4 +1,4 @@
-"""Errors of sources, and the packets expected from silent ones, in the upper left corner."""
+"""Shows errors of sources, and packets expected from silent sources, in the upper left corner."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
 _MAX_MORE = 3  # lines
 _MAX_AWAITED = 3  # sources
 _FEW_LINES = 20  # image height in lines below which panels have only one line
-SHOWN_FOR = 5.0  # s for which a malformed or lost packet is shown
+SHOWN_FOR = 5.0  # time for which a malformed or lost packet is shown, s
 
 
 def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
@@ -113,7 +113,7 @@ def _sources(world: WorldView) -> dict[str, Source]:
 
 
 class Status(Feature):
-    """Shows each source's errors, and the packets expected from sources that have sent nothing."""
+    """Shows errors of sources. For a source that has sent nothing, shows the expected packets."""
 
     order = 50
 

@@ -1,4 +1,4 @@
-"""`Toggles`: the features shown, by robot, joint, frame and arrow."""
+"""`Toggles`: switches of the shown features for each robot, joint, frame and arrow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PART_NAMES = ("nothing", "bodies", "joints", "geoms")
 
 @dataclass(frozen=True, eq=False)
 class ShownItems:
-    """Items to draw in one frame, as boolean arrays: switched on and with a pose."""
+    """Masks of the items that are drawn in one frame: switched on and with a pose."""
 
     joints: Bools
     arrows: Bools
@@ -37,9 +37,9 @@ class Handles:
     """Handles to drag a frame, see `handles.py`.
 
     Attributes:
-        pose: T_world_frame (4, 4), m; None for a mark without handles.
-        lit: handle under the pointer, index in `handles.HANDLE_NAMES`; -1 for none.
-        mark: target and actual position of the frame, (2, 3), m; None if they coincide.
+        pose: T_world_frame, shape (4, 4), m; None for a mark without handles.
+        lit: index of the handle under the pointer in `handles.HANDLE_NAMES`; -1 for none.
+        mark: target and actual position of the frame, shape (2, 3), m; None if they coincide.
     """
 
     pose: Array | None = None
@@ -48,23 +48,23 @@ class Handles:
 
 
 class Toggles:
-    """Switches of features: initially as declared, then changed by users and packets.
+    """Switches of features, which initially have declared values. Users and packets change them.
 
     Attributes:
-        arrow_quantity: quantity of the arrows, index in `ARROW_QUANTITIES`, (N,).
-        clicked: joints whose billboards have priority if there is no room for all, (N,) bool.
-        contacts: contact points of the model's geoms, with forces if they are known.
-        inertias: boxes with the mass and inertia of every link.
-        joint_axes: joints of the model, drawn by MuJoCo.
-        centres_of_mass: centers of mass of everything that moves independently.
-        part_names: names of parts of the model, index in `PART_NAMES`.
+        arrow_quantity: index of each joint's arrow quantity in `ARROW_QUANTITIES`, shape (N,).
+        clicked: mask (N,) of joints whose billboards have priority if there is no room for all.
+        contacts: whether contact points of geoms are shown, with forces if they are known.
+        inertias: whether a box with the mass and inertia of every link is shown.
+        joint_axes: whether MuJoCo draws the joints of the model.
+        centres_of_mass: whether the centers of mass of all independently moving parts are shown.
+        part_names: kind of parts whose names are shown, as an index of `PART_NAMES`.
         transparent: whether moving parts are transparent.
         wireframe: whether surfaces are drawn as the edges of their triangles.
-        hover: text beside the pointer, and the pointer's position (pixels); None for no text.
-        selected: the highlighted joint that a user has selected; None for none.
-        handles: handles to drag a frame; None for none.
-        modelled: joints whose torque is the model's gravity torque, (N,) bool; not changed by
-            `reset`, because it is not a switch.
+        hover: text beside the pointer, and the pointer's position in pixels; None for no text.
+        selected: index of the highlighted joint that a user has selected; None for no joint.
+        handles: handles to drag a frame; None for no handles.
+        modelled: mask (N,) of joints whose torque is the model's gravity torque. `reset` does not
+            change it, because it is not a switch.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -161,7 +161,7 @@ class Toggles:
             feature[world.owners[item.name].joints] = on
 
     def shown(self, data: mujoco.MjData) -> ShownItems:
-        """Returns the items to draw; doubles without data and frames not received have no pose."""
+        """Returns the items to draw. Doubles without data and frames not received have no pose."""
         has = data.userdata[self._world.frames.has] > 0
         frames = has | (self._world.frames.has < 0)
         joints = np.ones(len(self.arrows), bool)

@@ -1,4 +1,4 @@
-"""Geoms to pixels: images and videos without a window, and the item at a pixel.
+"""Renders images and videos without a window, and finds the item at a pixel.
 
 In: a scene, or a world and its state. Out: arrays, images and videos.
 Open first: `render.py`. `backend.py` chooses EGL or OSMesa, `renderer.py` the renderer.

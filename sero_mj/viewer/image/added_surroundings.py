@@ -1,8 +1,8 @@
 """`AddedSurroundings`: a floor, sky and lights around a model that has none.
 
-MuJoCo's classic renderer draws an `MjvScene` with the textures and meshes of an `MjrContext`, both
-created from one model. The surroundings are a separate model, laid out by MuJoCo for the same
-camera: its lights and floor are copied into the scene, and its textures into the context. The
+MuJoCo's classic renderer draws an `MjvScene` with the textures and meshes of an `MjrContext`. Both
+are created from the same model. The surroundings are a separate model, laid out by MuJoCo for the
+same camera: its lights and floor are copied into the scene, and its textures into the context. The
 user's model and data are not changed. Filament has no such context and renders both models.
 """
 
@@ -23,7 +23,7 @@ _MAX_GEOMS = 4
 def added_surroundings(
     world: WorldView, context: mujoco.MjrContext | None
 ) -> AddedSurroundings | None:
-    """Returns the surroundings to add to every frame, or None if the world has its own."""
+    """Returns the surroundings added to every frame, or None if the world has its own."""
     own = world.surroundings()
     return None if own is None else AddedSurroundings(own, world.model, context)
 
@@ -55,7 +55,7 @@ class AddedSurroundings:
         for geom in own.geoms[: min(own.ngeom, scene.maxgeom - scene.ngeom)]:
             floor = scene.geoms[scene.ngeom]
             _copy(geom, floor)
-            # Without this, clicks would find the geom of the shown model with this number.
+            # Without this, clicks would select the shown model's geom with the same number.
             floor.objtype, floor.objid, floor.matid = _UNKNOWN, -1, self._material
             scene.ngeom += 1
 

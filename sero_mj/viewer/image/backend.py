@@ -29,7 +29,7 @@ PACKAGES = {
     "glfw": "libgl1 libgl1-mesa-dri, and a display (xvfb has one)",
 }
 _NEEDS = {
-    "egl": "needs EGL, OpenGL and a driver, but some of them are not installed",
+    "egl": "needs EGL, OpenGL and a driver, of which at least one is not installed",
     "osmesa": "needs libOSMesa, which is not installed",
 }
 _LAZY = ("egl", "osmesa")
@@ -41,7 +41,7 @@ def choose_backend() -> str | None:
     """Sets `MUJOCO_GL` to a backend that should work, unless the user has set it.
 
     Returns:
-        the backend, or None for MuJoCo's default (macOS, Windows).
+        the selected backend, or None for MuJoCo's default (macOS, Windows).
     """
     backend = os.environ.get("MUJOCO_GL")
     if "mujoco" in sys.modules or sys.platform != "linux":
@@ -63,7 +63,7 @@ def check_backend() -> None:
 
 
 def backend_problem() -> str:
-    """Returns why the backend cannot render, and a remedy; empty if no reason is known."""
+    """Returns the reason why the backend cannot render, and a remedy, or an empty string."""
     chosen = os.environ.get("MUJOCO_GL", "")
     name = chosen.lower().strip()
     if sys.platform != "linux" or not name:  # unset: MuJoCo was imported first, see `adopt_backend`
@@ -74,7 +74,7 @@ def backend_problem() -> str:
     elif usable.get(name, name in _DEFAULT and has_display()):
         return ""
     else:
-        why = _NEEDS.get(name, "needs a display, which is missing")
+        why = _NEEDS.get(name, "needs a display, but there is none")
     other = next((each for each, is_usable in usable.items() if is_usable), None)
     hint = f"MUJOCO_GL={other} works here" if other else f"install {PACKAGES['egl']}"
     return f"MUJOCO_GL={chosen} {why}; {hint}"
@@ -84,8 +84,8 @@ class _LazyBackend(types.ModuleType):
     """Placeholder for `mujoco.egl` or `mujoco.osmesa` until a context is created.
 
     MuJoCo 4.0.0 imports that module together with `mujoco`. The import of `mujoco.egl` queries the
-    devices of EGL, which loads the driver with Mesa 25 (Debian 13). Without its library,
-    `mujoco.osmesa` cannot be imported, so commands that draw nothing would fail, too.
+    EGL devices, which loads the driver with Mesa 25 (Debian 13). If libOSMesa is missing,
+    `mujoco.osmesa` cannot be imported, and even commands that draw nothing would fail.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -195,7 +195,7 @@ def has_osmesa() -> bool:
 
 
 def library_files(name: str) -> list[str]:
-    """Returns the paths of installed shared libraries whose file names start with a name."""
+    """Returns the paths of installed shared libraries whose file names start with `name`."""
     return sorted(path for file, path in _libraries().items() if file.startswith(name))
 
 

@@ -19,7 +19,7 @@ _DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # factor of the distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
-_MAX_NUMBER = 1e6  # of the numbers of a camera
+_MAX_NUMBER = 1e6  # maximum of the numbers that describe a camera
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _EXPECTED = (
     "a name or azimuth,elevation,distance (degrees, degrees, m above 0) and optionally the look-at "
@@ -31,13 +31,13 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
     """Returns a camera for rendering.
 
     Args:
-        wanted: name of a camera; `azimuth,elevation,distance` (degrees, degrees, m), optionally
-            with the look-at point `,x,y,z` (m); or None for the scene's `view`. For narrow
-            images, the camera is farther away, see `needed_aspect`.
+        wanted: name of a camera, or `azimuth,elevation,distance` (degrees, degrees, m), optionally
+            followed by the look-at point `,x,y,z` (m) (default: the scene's `view`). For narrow
+            images, the camera is moved back, see `needed_aspect`.
 
     Raises:
-        UsageError: `wanted` is not a string, does not have three or six numbers, or the
-            distance is not positive.
+        UsageError: `wanted` is neither a camera name nor three or six numbers, or the distance is
+            not positive.
     """
     if wanted is not None and not isinstance(wanted, str):
         raise UsageError(Problem("camera", found=wanted, expected=_EXPECTED))
@@ -85,10 +85,10 @@ def _numbers(text: str) -> list[float]:
 class Navigator:
     """A camera that the user moves.
 
-    Drags are in units of the window's height, so that they have the same effect at all sizes.
+    Drags are in units of the window's height, so that their effect does not depend on its size.
 
     Attributes:
-        following: robot, group or frame that the camera follows, or None.
+        following: name of the robot, group or frame that the camera follows, or None.
     """
 
     def __init__(self, world: WorldView, wanted: str | None = None) -> None:
@@ -100,9 +100,10 @@ class Navigator:
         self._follow_as_declared()
 
     def hold(self, poses: Iterator[mujoco.MjData], size: tuple[int, int]) -> None:
-        """Moves the initial view so that robots are visible in all of some poses.
+        """Moves the initial view so that the robots are visible in all given poses.
 
-        Nothing happens if the camera follows something or there are no poses; see `Framing.hold`.
+        Nothing happens if the camera follows something or if there are no poses. See
+        `Framing.hold`.
         """
         if self.following is not None or (first := next(poses, None)) is None:
             return
@@ -134,7 +135,7 @@ class Navigator:
         )
 
     def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
-        """Moves parallel to the image, so that the look-at point follows the pointer.
+        """Moves the camera parallel to the image, so that the look-at point follows the pointer.
 
         `tan_half_fovy` is the tangent of half the vertical field of view.
         """
@@ -159,7 +160,7 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number, starting at 1; 0 is the view of the scene."""
+        """Selects a camera by its number, starting at 1. 0 selects the view of the scene."""
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
@@ -181,8 +182,8 @@ class Navigator:
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
         """Starts following a robot, group or frame.
 
-        Stops if `frame` is None or is already followed. Raises UnknownName if nothing has this
-        name.
+        Stops following if `frame` is None or is already followed. Raises UnknownName if there is no
+        robot, group or frame with this name.
         """
         if frame is None or frame == self.following:
             self.following = None
@@ -199,25 +200,25 @@ class Navigator:
         if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
             return
-        # In real time, so that it also arrives while a timeline is paused.
+        # The camera moves in real time, so that it also arrives while a timeline is paused.
         moved = self._follower.displacement(data, time.monotonic())
         if self.camera.type == _FREE:
             self.camera.lookat = self.camera.lookat + moved
 
 
 def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> str | None:
-    """Returns what a camera follows: `wanted`, else the setting of the scene's view.
+    """Returns the name that a camera follows: `wanted`, or else the setting of the scene's view.
 
     A fixed camera ignores the setting of the view.
 
     Raises:
-        UsageError: a fixed camera cannot follow anything.
+        UsageError: `wanted` is set, but the camera is fixed.
     """
     if camera.type == _FREE:
         return world.scene.view.follow if wanted is None else wanted
     if wanted is not None:
         name = world.model.camera(camera.fixedcamid).name
-        reason = f"requires the free camera; camera '{name}' of the scene does not move"
+        reason = f"requires the free camera, but camera '{name}' of the scene is fixed"
         raise UsageError(Problem("follow", reason, found=wanted))
     return None
 
@@ -229,12 +230,12 @@ def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
     to.azimuth, to.elevation = camera.azimuth, camera.elevation
 
 
-TIME_CONSTANT = 0.4  # s, of the low-pass filter
-_JUMP = 1.0  # s; after longer steps, or steps back in time, the camera moves at once
+TIME_CONSTANT = 0.4  # time constant of the low-pass filter, s
+_JUMP = 1.0  # s; after longer steps, or steps back in time, the camera moves immediately
 
 
 def roots(world: WorldView, name: str) -> list[str]:
-    """Returns the robots of a robot name or group that no other robot of it carries.
+    """Returns the robots with a robot or group name that no other robot of the group carries.
 
     Returns an empty list for other names.
     """
@@ -244,15 +245,15 @@ def roots(world: WorldView, name: str) -> list[str]:
 
 
 class Follower:
-    """Computes the motion of a camera that follows something, with a first-order low-pass filter.
+    """Computes the motion of a camera that follows a target, with a first-order low-pass filter.
 
-    If time stands still or jumps, the camera moves at once.
+    If time stops or jumps, the camera moves immediately.
 
     Args:
-        name: a robot or group, whose bases are followed, or a frame such as `lwr/flange`.
+        name: a robot or group whose bases are followed, or a frame such as `lwr/flange`.
 
     Raises:
-        UnknownName: nothing has this name.
+        UnknownName: there is no robot, group or frame with this name.
     """
 
     def __init__(self, world: WorldView, name: str, data: mujoco.MjData) -> None:
@@ -272,7 +273,7 @@ class Follower:
         return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
 
     def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
-        """Returns the motion of the camera since the last call, (3,), m."""
+        """Returns the displacement of the camera since the last call, shape (3,), m."""
         position, now = self._position(data), float(data.time) if now is None else now
         if not np.isfinite(position).all():
             return np.zeros(3)

@@ -24,9 +24,9 @@ _MAX_KEYS = 10_000
 
 
 class CameraKey(Declaration):
-    """Pose of a camera at a time of a video; missing values are interpolated between other keys.
+    """Pose of a camera at a time of a video. Missing values are interpolated between other keys.
 
-    Values that are in no key are those of the view.
+    Values that no key declares are those of the view.
 
     Attributes:
         time: time since the start of the video, s.
@@ -46,11 +46,11 @@ class CameraKey(Declaration):
 class CameraPath:
     """A smooth path of a camera through keys, which starts and ends at rest.
 
-    Before the first key the camera is at the first key, after the last key at the last one. Between
-    two keys it rotates by at most 180 degrees.
+    Before the first key, the camera has the pose of the first key. After the last key, it has the
+    pose of the last key. Between two keys it rotates by at most 180 degrees.
 
     Raises:
-        DeclarationError: there is no key, or their times do not increase.
+        DeclarationError: there is no key, or the times of the keys do not increase.
     """
 
     def __init__(self, keys: Sequence[CameraKey]) -> None:
@@ -81,7 +81,7 @@ class CameraPath:
 
 
 def read_camera_path(path: Path) -> CameraPath:
-    """Reads the keys of a camera path: `[[keys]]` with the fields of `CameraKey`.
+    """Reads a camera path from the tables `[[keys]]` of a TOML file, with fields of `CameraKey`.
 
     Raises:
         DeclarationError: all errors of the file, with their lines.
@@ -116,7 +116,7 @@ def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMo
     """Returns a rotation about the look-at point at constant speed, starting at the current pose.
 
     Args:
-        degrees: increase of the azimuth after `duration`; negative for the opposite direction.
+        degrees: total increase of the azimuth after `duration`; negative for the other direction.
     """
     start = float(camera.azimuth)
 

@@ -96,27 +96,30 @@ def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None: ...
 _BILLBOARD = ("billboards", "details")
 # Description and action by gesture and kind of item.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
-    ("click", "link"): ("billboards of its joint or limb on or off", _flip_limb),
+    ("click", "link"): ("billboards of the joint or limb on or off", _flip_limb),
     ("shift", "link"): ("all billboards of the robot on or off", _flip("billboards", _joints)),
     ("double", "link"): ("all axes of the robot on or off", _flip("axes", _frames)),
-    ("click", "billboard"): ("hides it", _hide(_BILLBOARD)),
-    ("shift", "billboard"): ("hides all of the robot", _hide(_BILLBOARD, _joints)),
-    ("click", "arrow"): ("its exact values on or off", _flip("details")),
-    ("shift", "arrow"): ("exact values of the whole robot on or off", _flip("details", _joints)),
+    ("click", "billboard"): ("hides the billboard", _hide(_BILLBOARD)),
+    ("shift", "billboard"): ("hides all billboards of the robot", _hide(_BILLBOARD, _joints)),
+    ("click", "arrow"): ("exact values of the arrow on or off", _flip("details")),
+    ("shift", "arrow"): ("exact values of all arrows on or off", _flip("details", _joints)),
     ("double", "arrow"): ("next quantity for all arrows of the robot", _next_quantity_here),
-    ("click", "axes"): ("their name on or off", _flip("frame_names")),
+    ("click", "axes"): ("name of the frame on or off", _flip("frame_names")),
     ("shift", "axes"): ("names of all axes of the robot on or off", _flip("frame_names", _frames)),
-    ("double", "axes"): ("hides them", _hide(("axes", "frame_names"))),
-    ("click", "name"): ("hides it", _flip("frame_names")),
-    ("shift", "name"): ("hides all of the robot", _flip("frame_names", _frames)),
-    ("click", "vector"): ("its values on or off", _flip("cards")),
+    ("double", "axes"): ("hides the axes", _hide(("axes", "frame_names"))),
+    ("click", "name"): ("hides the name", _flip("frame_names")),
+    ("shift", "name"): ("hides all names of the robot", _flip("frame_names", _frames)),
+    ("click", "vector"): ("values of the arrow on or off", _flip("cards")),
     ("shift", "vector"): ("values of all smart arrows on or off", _flip("cards", _everything)),
-    ("click", "card"): ("hides it", _flip("cards")),
-    ("shift", "card"): ("hides all of them", _flip("cards", _everything)),
-    ("click", "limb"): ("one billboard for each joint", _open_limb),
-    ("shift", "limb"): ("hides it", _hide(_BILLBOARD, _card_limb)),
+    ("click", "card"): ("hides the values", _flip("cards")),
+    ("shift", "card"): ("hides the values of all smart arrows", _flip("cards", _everything)),
+    ("click", "limb"): ("shows one billboard for each joint", _open_limb),
+    ("shift", "limb"): ("hides the billboard", _hide(_BILLBOARD, _card_limb)),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
-    ("double", "object"): ("centers the view on it", _do_nothing),  # the window or page does it
+    ("double", "object"): (
+        "centers the view on the object",
+        _do_nothing,
+    ),  # the window or page does it
 }
 # Clicks on transparent doubles have the same effect as clicks on robots.
 CLICKS |= {
@@ -127,7 +130,7 @@ CLICKS |= {
 def click(
     world: WorldView, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
 ) -> bool:
-    """Performs the action of a gesture on an item, see `CLICKS`; returns whether there is one.
+    """Performs the action of a gesture on an item, see `CLICKS`; returns whether it has an action.
 
     A double click on the background resets the toggles to those of the scene.
     """
@@ -146,7 +149,7 @@ def click(
 
 
 def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
-    """Shows the name of the item under the pointer in the following frames."""
+    """Shows the name of the item under the pointer from the next frame on."""
     # A billboard already shows its name, and the label would hide its values.
     name = "" if picked is None or picked.kind in ("billboard", "limb") else picked.own_name
     toggles.hover = (name, pixel) if name else None
@@ -192,7 +195,7 @@ KEYS: dict[str, KeyAction] = {
     "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles a single one
     "q": ("next quantity for all arrows", _next_quantity),
     **_toggle_keys("dvcls"),
-    "r": ("reset to what the scene declares", Toggles.reset),
+    "r": ("reset to the declared values", Toggles.reset),
 }
 
 

@@ -1,4 +1,4 @@
-"""Distance that a camera needs for robots to be in its image, depending on the aspect ratio."""
+"""Computes the camera distance at which all robots are in an image with a given aspect ratio."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 
 MARGIN = 1.12  # factor of the distance
-_WIDEST = 4 / 3  # aspect ratio from which cameras do not move back for a sphere
-_DECLARED_FOR = 1.6  # aspect ratio of the images that scenes declare their view for
+_WIDEST = 4 / 3  # aspect ratio above which cameras are not moved back for a sphere
+_DECLARED_FOR = 1.6  # aspect ratio of images for which scenes declare their view
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
@@ -33,9 +33,9 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
 
 
 def bounding_sphere(world: WorldView) -> tuple[Array, float]:
-    """Returns center (3,), m, and radius, m, of a sphere about the scene without its floor.
+    """Returns the center (3,) and radius, in m, of a sphere about the scene without its floor.
 
-    Objects that a route attaches to a robot's flange are taken at the flange.
+    Objects that a route attaches to a robot's flange are placed at the flange.
     """
     return _sphere(*_boxes(world, declared_data(world)))
 
@@ -44,7 +44,7 @@ def declared_data(world: WorldView) -> mujoco.MjData:
     """Returns data of the declared pose, with objects that routes attach to robots in place."""
     data = world.make_data()
     if world.scene.routes:
-        # Invalid routes are reported elsewhere, when they are wired.
+        # Invalid routes are reported when they are connected.
         with contextlib.suppress(DeclarationError):
             Placer(world).place(data)
     return data
@@ -72,13 +72,13 @@ def _tan_half_fovy(world: WorldView) -> float:
 
 
 class Framing:
-    """Moves a camera back if data shows robots outside of the image of their declared pose.
+    """Moves a camera back if received data moves robots out of the image of the declared pose.
 
-    The data of a mirrored robot can place it anywhere. `fit` acts when a coordinate or base
+    The data of a mirrored robot can place the robot anywhere. `fit` acts when a coordinate or base
     position first differs from its declared value, so that the camera does not move with a robot
-    that is in the image. It stops as soon as the camera is moved, and never moves a camera placed
-    by scene or user. `hold` is for poses that are known before the first image. It does not move a
-    camera placed by the user.
+    that is in the image. It stops as soon as the user moves the camera, and never moves a camera
+    placed by the scene or the user. `hold` is for poses that are known before the first image. It
+    does not move a camera placed by the user.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Framing:
         self._moved = np.zeros(world.model.nq + len(self._bases), bool)
 
     def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
-        """Moves the camera if a state requires it."""
+        """Moves the camera if robots have left the image in the current state."""
         if not self._acts:
             return
         at = (each.mocap_pos[self._bases] for each in (data, self._declared))
@@ -110,11 +110,11 @@ class Framing:
             return
         lows, highs = _boxes(self._world, data)
         half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
-        radius = camera.distance * np.sin(half_fovy)  # m, of the sphere that fits into the image
+        radius = camera.distance * np.sin(half_fovy)  # radius of a sphere that fits, m
         farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
         if not (np.linalg.norm(farthest, axis=1) > radius).any():
             return
-        if not bases_moved.any():  # else the declared poses do not matter
+        if not bases_moved.any():  # otherwise the declared poses do not matter
             declared = _boxes(self._world, self._declared)
             lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
         centre, radius = _sphere(lows, highs)
@@ -128,7 +128,7 @@ class Framing:
         size: tuple[int, int],
         turns: Sequence[float] = (0.0,),
     ) -> None:
-        """Moves the camera so that robots and doubles are in the image in all of some poses.
+        """Moves the camera so that robots and doubles are in the image in all given poses.
 
         Parts that are outside of the view in the declared pose may stay outside. Nothing changes if
         everything else is in the image, or if the user has placed the camera.
@@ -203,10 +203,10 @@ def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
 def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> float:
     """Returns the aspect ratio (width over height) that the image of a free camera needs.
 
-    The image contains a sphere about the declared scene without its floor; the aspect ratio is at
-    most 4/3, since a view may show a part of the scene. In narrower images, the camera stands
-    farther back. A view declared by a scene is for images of 1280x800, so it also needs the
-    width of the robots visible there.
+    The image has to contain a sphere about the declared scene without its floor. The aspect ratio
+    is at most 4/3, because a view may show only a part of the scene. In narrower images, the camera
+    is moved back. A view declared by a scene is designed for images of 1280x800, so its aspect
+    ratio also has to cover the width of the robots that are visible in such an image.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)
     centre, radius = _sphere(*_boxes(world, data))
@@ -224,7 +224,7 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns the factor by which a free camera is farther away in a narrow image; 1 in others."""
+    """Returns the factor by which a free camera is farther away in narrow images, otherwise 1."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 

@@ -1,7 +1,7 @@
-"""`HeldTorques`: gravity torques of the joints, for robots without data.
+"""`HeldTorques`: gravity torques of the joints of robots without data.
 
-If neither joint angles nor torques of a robot are received or declared, the model provides the
-torques that hold its pose, and the legend names them gravity torques.
+If neither joint angles nor torques of a robot are received or declared, the torques that hold its
+pose are computed from the model. The legend labels them as gravity torques.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ class HeldTorques:
     """Writes gravity torques into a world's state while arrows or billboards are on.
 
     Attributes:
-        note: reason why no gravity torque is shown; empty if it is.
+        note: reason why no gravity torque is shown; empty if gravity torques are shown.
     """
 
     def __init__(self, mirror: LiveWorld, toggles: Toggles) -> None:
         self._world, self._toggles = mirror.world, toggles
         routed = {route.to.target for route in mirror.routes}
-        # Torques written for every robot, to detect if something else sets them.
+        # Torques written for every robot, to detect changes by programs.
         self._written: dict[str, Array | None] = {
             name: None
             for name in unrouted(mirror)
@@ -39,7 +39,7 @@ class HeldTorques:
         }
         self._model: GravityTorques | None = None
         self._compiling: threading.Thread | None = None
-        self._angles: Array = np.zeros(0)  # angles of the written torques
+        self._angles: Array = np.zeros(0)  # joint angles for which the torques were written
         self.note = ""
 
     @property
@@ -53,8 +53,8 @@ class HeldTorques:
         """Writes the torques of the pose if arrows or billboards show them.
 
         Args:
-            wait: whether to wait until the model is compiled, which takes a second for a robot
-                with many meshes.
+            wait: whether to wait until the model is compiled. This takes a second for a robot with
+                many meshes.
         """
         world, toggles = self._world, self._toggles
         for name, written in [*self._written.items()]:
@@ -101,7 +101,7 @@ class HeldTorques:
 
 
 def unrouted(mirror: LiveWorld) -> list[str]:
-    """Returns the names of the robots whose joint angles are not set by a route."""
+    """Returns the names of robots whose joint angles are not set by a route."""
     routed = {route.to.target for route in mirror.routes}
     angles = {name: f"{name}.joint_angles" for name in mirror.world.robots}
     return [

@@ -1,4 +1,4 @@
-"""Images and videos on disk."""
+"""Writes images and videos to files."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_writable(path: Path) -> None:
-    """Creates the file's folder and checks that the file can be written, before rendering.
+    """Creates the file's folder and checks that the file can be written. Call before rendering.
 
     Raises:
         RenderError: the file cannot be written.
@@ -48,7 +48,7 @@ def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Raises a RenderError with the name of the final file, not of the temporary one."""
+    """Converts OSError to a RenderError that names the final file, not the temporary one."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -56,7 +56,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_video(path: Path | str) -> Path:
-    """Returns the path of a video; raises RenderError for another file name extension."""
+    """Returns the path of a video. Raises RenderError if the file name extension is unknown."""
     path = Path(path)
     if path.suffix.lower() not in VIDEO_FORMATS:
         expected = f"a name that ends in {', '.join(VIDEO_FORMATS)}"
@@ -73,10 +73,10 @@ class VideoWriter:
     """Writes an H.264, VP9 or GIF video, as a context manager.
 
     The video is written to a temporary file, which is renamed when it is complete. After a
-    KeyboardInterrupt, the frames so far become the video.
+    KeyboardInterrupt, the video contains the frames written so far.
 
     Raises:
-        RenderError: the file cannot be written, has another extension, the size is too small,
+        RenderError: the file cannot be written, its extension is unknown, the size is too small,
             or there are too many frames per second.
     """
 
@@ -87,14 +87,14 @@ class VideoWriter:
         odd = 1 if kind.has_palette else 2
         self._width, self._height = width - width % odd, height - height % odd
         if min(self._width, self._height) < 2:
-            expected = "at least 2 pixels a side"
+            expected = "at least 2 pixels per side"
             raise RenderError(Problem("video size", found=(width, height), expected=expected))
         if fps > kind.max_fps:
             problem = Problem(
                 file=str(path),
                 found=fps,
                 of="frames per second",
-                expected=f"at most {kind.max_fps:g}: programs show a faster GIF slowly",
+                expected=f"at most {kind.max_fps:g}, because programs play faster GIFs slowly",
             )
             raise RenderError(problem)
         import av
@@ -185,13 +185,13 @@ class _Palettes:
 
 
 class ImageArray(np.ndarray):
-    """An image (height, width, 3), uint8, top row first: an array with `save`.
+    """An array with the method `save`: an image (height, width, 3), uint8, top row first.
 
-    Notebooks display it as an image. A slice that is not an image is displayed as numbers.
+    Notebooks display the array as an image. A slice that is not an image is displayed as numbers.
     """
 
     def save(self, path: Path | str) -> None:
-        """Writes the image in the format of the file name extension: .png, .jpg, .webp.
+        """Writes the image in the format of the file name extension, such as .png, .jpg or .webp.
 
         Raises:
             RenderError: the file cannot be written, the format is unknown, or this slice is not

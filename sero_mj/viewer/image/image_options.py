@@ -15,7 +15,7 @@ from ...base.options import Duration, Option, Options, Positive, Size, Time
 Quality = Literal["draft", "normal", "fine"]
 Stereo = Literal["side-by-side", "anaglyph"]
 DEFAULT_SIZE = (1280, 800)
-EYE_DISTANCE = 0.065  # m, average of adults
+EYE_DISTANCE = 0.065  # average eye distance of adults, m
 _GESTURES = ("shift", "double", "hover")
 
 
@@ -44,13 +44,13 @@ Degrees = Annotated[
 ]
 Pass = Literal["colour", "segmentation", "depth"]
 Rate = Annotated[Positive, Option("N")]
-# Pixel from the upper left corner, x and y; `click`, `shift`, `double` or `hover`; by touch.
+# Pixel (x, y) from the upper left corner, the gesture, and whether it is a touch.
 Click = tuple[float, float, str, bool]
 Switches = Annotated[dict[str, str], BeforeValidator(_switches)]
 _GivenClick = Annotated[
     Click,
     BeforeValidator(_click),
-    expecting("X,Y in pixels, or X,Y and shift, double, hover or touch"),
+    expecting("X,Y in pixels, or X,Y followed by ,shift ,double ,hover or ,touch"),
 ]
 
 
@@ -59,10 +59,10 @@ class SizeOptions(Options):
 
     Attributes:
         size: width and height, pixels.
-        quality: draft: without shadows and anti-aliasing, much faster with software OpenGL;
-            fine: for print, at 300 dots per inch, with motion blur in videos.
-        renderer: classic for OpenGL, or a renderer of an extension, see check (default: a
-            renderer with soft shadows for --quality fine if it is available, else classic).
+        quality: draft: no shadows and no anti-aliasing, much faster with software OpenGL; fine:
+            for print, at 300 dots per inch, with motion blur in videos.
+        renderer: classic for OpenGL, or a renderer of an extension, see check (default: for
+            --quality fine a renderer with soft shadows if one is available, else classic).
     """
 
     size: Size = DEFAULT_SIZE
@@ -74,7 +74,7 @@ class StereoOptions(Options):
     """Images for two eyes.
 
     Attributes:
-        stereo: side by side, half of the image for each eye, or for red-cyan glasses.
+        stereo: side-by-side: half of the image for each eye; anaglyph: for red-cyan glasses.
         eye_distance: distance between the eyes, m; larger values exaggerate depth.
     """
 
@@ -113,13 +113,13 @@ class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
     """Options of an image of a scene; the fields are keyword arguments of `render_image`.
 
     Attributes:
-        clicks: click on a pixel, counted from the upper left, before rendering; HOW is shift,
-            double, hover or touch (with a finger); may be repeated.
-        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off,
-            with one digit for all or one for each joint, frame, ...; may be repeated.
-        render_pass: instead of the image, write the link or object at every pixel, or its
-            depth; .png or .npy.
-        selected: highlight a joint, as if it was clicked.
+        clicks: click on a pixel, counted from the upper left corner, before rendering; HOW is
+            shift, double, hover or touch (with a finger); may be repeated.
+        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off, with
+            one digit for all items or one for each joint, frame, ...; may be repeated.
+        render_pass: write the link or object at every pixel, or the depth of every pixel, instead
+            of the image, to a .png or .npy file.
+        selected: highlight a joint as if it were clicked.
         wait: maximum time to wait for the first packet of every source, s.
     """
 
@@ -134,7 +134,7 @@ class VideoOptions(ImageOptions, MotionOptions):
     """Options of a video of a scene; the fields are keyword arguments of `render_video`.
 
     Attributes:
-        duration: length of a video, s.
+        duration: length of the video, s.
         fps: frames per second (default: 30, or 20 for a GIF).
     """
 
@@ -151,7 +151,7 @@ class VideoFormat:
         options: options of the codec, chosen to be fast compared to rendering.
         has_palette: whether frames are limited to 256 colors.
         fps: default frames per second.
-        max_fps: maximum frames per second that players support.
+        max_fps: maximum number of frames per second that players support.
     """
 
     codec: str

@@ -1,6 +1,7 @@
-"""Private parts of MuJoCo that sero-mj uses, each with its reason.
+"""Private parts of MuJoCo that sero-mj uses, with the reason for each.
 
-They require `mujoco>=4.0,<4.1`. If another version lacks a part, `RenderError` names it.
+They exist in `mujoco>=4.0,<4.1`. If another version lacks one, a RenderError names the missing
+part.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ _EXPECTED = "4.0"
 
 
 def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
-    """The OpenGL context of a renderer, which `mujoco.Renderer` does not expose.
+    """Returns the OpenGL context of a renderer, which `mujoco.Renderer` does not expose.
 
-    Textures of drafts are uploaded into it, and panels are laid out with the widths of its font.
+    Textures of drafts are uploaded into the context, and panels are laid out with its font widths.
     """
     try:
         context: mujoco.MjrContext = renderer._mjr_context
@@ -30,7 +31,7 @@ def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
 
 
 def filament() -> Any:
-    """The module of MuJoCo's Filament renderer, with its materials registered.
+    """Returns the module of MuJoCo's Filament renderer, with its materials registered.
 
     The wrapper `mujoco.rendering.filament` needs Python 3.12, so this is `mujoco.mjrf`. Importing
     `mujoco.studio` registers the location of materials (`filament:pbr.filamat`); without it, the

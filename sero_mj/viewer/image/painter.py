@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Painter(ABC):
-    """Renders a world into images and handles clicks on them; a context manager.
+    """Renders a world into images and handles clicks on these images, as a context manager.
 
     Attributes:
         decor: decor of the last frame.
@@ -59,7 +59,7 @@ class Painter(ABC):
         return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`; the next frames show the name of the item."""
+        """Moves the pointer to a pixel, see `pick`. The next frames show the name of the item."""
         return self._lay_out(data).hover(data, self._pixel(x, y))
 
     def _pixel(self, x: float, y: float) -> Pixel:
@@ -86,7 +86,7 @@ class Painter(ABC):
 
 
 def perform_clicks(painter: Painter, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    """Clicks on pixels in order, and logs the item at each."""
+    """Clicks on pixels in order, and logs the item at each pixel."""
     for x, y, gesture, finger in clicks:
         if gesture == "hover":
             picked = painter.hover(data, x, y)

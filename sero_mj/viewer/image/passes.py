@@ -1,6 +1,6 @@
-"""Segmentation and depth: the part at every pixel, and its distance; both without decor.
+"""Segmentation images (the part at every pixel) and depth images, without decor.
 
-They are rendered without multisampling: a pixel at an edge belongs to one part or the other.
+Both are rendered without multisampling, so a pixel at an edge belongs to exactly one part.
 
 - Segmentation as .png: a palette image whose index is the number of the part, as in PASCAL VOC.
   With more than 256 parts, 16-bit grayscale. As .npy: int32. NAME.parts.json names the parts.
@@ -47,9 +47,9 @@ class Parts:
     """Numbers and names of the parts in segmentation images of a world.
 
     Attributes:
-        names: names by number: 0 is `background` (the sky), followed by links (`lwr/link3`, or
-            the name in the robot's file), links of doubles (`goal/link3`), objects, and
-            `floor`. They are the same in all images of a scene.
+        names: part names, indexed by part number: 0 is `background` (the sky), followed by links
+            (`lwr/link3`, or the name in the robot's file), links of doubles (`goal/link3`),
+            objects, and `floor`. The numbers are the same in all images of a scene.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -72,7 +72,7 @@ class Parts:
         return self._numbers.setdefault(name, len(self._numbers))
 
     def of(self, geom: mujoco.MjvGeom, double: str | None = None) -> int | None:
-        """Returns the part of a geom in a scene; None for decor."""
+        """Returns the number of the part that a geom of a scene belongs to, or None for decor."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
         if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of `AddedSurroundings`
@@ -101,7 +101,7 @@ class PassRenderer:
         self._far = float(world.model.vis.map.zfar * world.model.stat.extent)
 
     def segmentation(self, buffer: GeomBuffer) -> Ints:
-        """Returns the part at every pixel, (height, width), int32."""
+        """Returns the number of the part at every pixel, shape (height, width), int32."""
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
         shown = self._renderer.render()[..., 0]
@@ -138,21 +138,21 @@ class PassRenderer:
             start = end
 
 
-_MAX_COLOURS = 256  # of a palette
+_MAX_COLOURS = 256  # maximum number of palette colors
 _MAX_MM = 65_535
 
 
 def check_pass_file(path: Path) -> None:
-    """Raises RenderError if the file name extension does not suit segmentation and depth."""
+    """Raises RenderError if the file format does not support segmentation and depth images."""
     if path.suffix.lower() not in PASS_ENDINGS:
-        expected = f"a name that ends in {', '.join(PASS_ENDINGS)}, which are lossless"
+        expected = f"a lossless format, with a name that ends in {' or '.join(PASS_ENDINGS)}"
         raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
 
 
 def palette(count: int) -> Pixels:
-    """Returns distinguishable colors for numbers, (count, 3); black for 0.
+    """Returns distinguishable colors for part numbers, shape (count, 3), with black for 0.
 
-    Source: `VOClabelcolormap` of the development kit of the PASCAL Visual Object Classes Challenge
+    Source: `VOClabelcolormap` in the development kit of the PASCAL Visual Object Classes Challenge
     2012, which distributes the bits of a number over red, green and blue.
     """
     numbers = np.arange(count)
@@ -168,11 +168,11 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
     """Writes the part at every pixel to a .png or .npy file, and NAME.parts.json beside it.
 
     Returns:
-        path of the JSON file: `parts`, each with `id`, `name`, `colour` (red, green, blue in
-        the image; null without a palette) and its number of `pixels`.
+        path of the JSON file, which lists `parts`. Each part has `id`, `name`, `colour` (red, green
+        and blue in the image; null without a palette) and its number of `pixels`.
 
     Raises:
-        RenderError: a file cannot be written, or has another extension.
+        RenderError: a file cannot be written, or the extension is neither .png nor .npy.
     """
     check_pass_file(path)
     has_palette = path.suffix.lower() == ".png" and len(names) <= _MAX_COLOURS
@@ -203,7 +203,7 @@ def save_depth(path: Path, depth: Array) -> None:
     """Writes the depth of every pixel to a .png or .npy file.
 
     Raises:
-        RenderError: the file cannot be written, or has another extension.
+        RenderError: the file cannot be written, or the extension is neither .png nor .npy.
     """
     check_pass_file(path)
     if path.suffix.lower() == ".npy":

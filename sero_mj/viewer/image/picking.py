@@ -44,7 +44,7 @@ _TYPES = mujoco.mjtGeom
 # Comparing arrays with numbers is a hundred times faster than with members of an enum.
 _BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
 _MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
-_STEP = 1e-6  # m, from the surface of a hidden geom to the next start of the ray
+_STEP = 1e-6  # distance from the surface of a hidden geom to the next start of the ray, m
 
 
 @dataclass(frozen=True)
@@ -52,12 +52,13 @@ class Picked:
     """The item at a pixel.
 
     Attributes:
-        name: for example `lwr/A4` for a joint's arrow or billboard, `lwr/link3`, `table`.
-        owner: the robot or double it belongs to; empty for other items.
-        index: joint of the world for links, doubles, arrows and billboards; frame for axes and
-            names; smart arrow for vectors and their billboards; robot for checks; -1 for
+        name: name of the item, such as `lwr/A4` (a joint's arrow or billboard), `lwr/link3` or
+            `table`.
+        owner: name of the robot or double that the item belongs to; empty for other items.
+        index: index of a joint for links, doubles, arrows and billboards; of a frame for axes and
+            names; of a smart arrow for vectors and their billboards; of a robot for checks; -1 for
             objects and paths.
-        own_name: for a link, its name in the robot's file; otherwise the same as `name`.
+        own_name: for a link, the link's name in the robot's file; otherwise the same as `name`.
     """
 
     kind: PickedKind
@@ -85,7 +86,7 @@ def pick(
     Args:
         buffer: decor of the displayed frame.
         pixel: x to the right and y up from the lower left corner of the image.
-        tolerance: maximum distance from decor if none is hit exactly, pixels; see
+        tolerance: maximum distance from decor if no decor is hit exactly, pixels; see
             `TOUCH_TOLERANCE`.
     """
     origin = view.position
@@ -107,7 +108,7 @@ def _through(view: ImageView, pixel: Pixel) -> Array:
 def point_at(
     world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> Array | None:
-    """Returns the world point (3,), m, at a pixel, including the floor; None for the sky."""
+    """Returns the world point (3,), m, at a pixel, also on the floor, or None for the sky."""
     direction = _through(view, pixel)
     picked = pick(world, data, buffer, view, pixel)
     if picked is not None:
@@ -120,7 +121,7 @@ def point_at(
 def link_at(
     world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> tuple[str, Array] | None:
-    """Returns the frame of the robot's link at a pixel, and the world point there, (3,), m.
+    """Returns the frame of the robot's link at a pixel, and the world point (3,), m, at the pixel.
 
     Decor and doubles are ignored. Returns None if anything else is in front.
     """
@@ -169,10 +170,10 @@ def _pick_decor(
 
 
 def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
-    """Returns an item of decor by its kind and index, at a distance from the camera in m.
+    """Returns the decor item with this kind and index, at a distance from the camera in m.
 
     Raises:
-        ValueError: there is no such item.
+        ValueError: decor has no such item.
     """
     counts = {
         Kind.AXES: len(world.frames.names),
@@ -237,7 +238,10 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 
 
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Returns the distances along a ray to boxes (k,), m; inf for a miss (slab method)."""
+    """Returns the distances along a ray to boxes, shape (k,), m, with inf for a miss.
+
+    Source: slab method (Kay and Kajiya, Ray Tracing Complex Scenes, 1986).
+    """
     start = np.einsum("kij,ki->kj", mat, origin - centre)
     along = np.einsum("kij,i->kj", mat, direction)
     along = np.where(np.abs(along) < 1e-12, 1e-12, along)
@@ -251,9 +255,10 @@ def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: 
 def ray_triangles(
     origin: Array, direction: Array, corner: Array, edges: Array, margin: Array
 ) -> Array:
-    """Returns the distances along a ray to triangles (k,), m; inf for a miss.
+    """Returns the distances along a ray to triangles, shape (k,), m, with inf for a miss.
 
-    Both sides are hit. `margin` is the maximum distance of the ray from a triangle, (k,), m.
+    Triangles are hit from both sides. `margin` is the maximum distance of the ray from each
+    triangle, shape (k,), m.
 
     Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of
     Graphics Tools 2(1), 1997.
@@ -285,10 +290,10 @@ def ray_triangles(
 def ray_arrow(
     origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
 ) -> float:
-    """Returns the distance along a ray to an arrow geom, m; inf for a miss.
+    """Returns the distance along a ray to an arrow geom, m, or inf for a miss.
 
     Args:
-        size: as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
+        size: size as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
         margin: increase of radius and length, m.
     """
     length = size[2] / ARROW_SIZE_OF_LENGTH

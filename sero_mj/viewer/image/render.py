@@ -1,6 +1,6 @@
-"""Renders images and videos without a window, of a world or of a scene with live sources.
+"""Renders images and videos of a world, or of a scene with live sources, without a window.
 
-A video of a live robot has to show real time, even if software rendering is slower. Therefore a
+A video of a live robot has to play in real time, even if software rendering is slower. Therefore a
 thread samples the state at the frame rate of the video, and frames are rendered from these samples.
 """
 
@@ -56,7 +56,7 @@ log = logging.getLogger(__name__)
 
 MAX_SIDE = 16384  # pixels, limit of Mesa's software renderer
 QUALITIES: tuple[str, ...] = get_args(Quality)
-SUPERSAMPLING = 2  # per side, for quality `fine`
+SUPERSAMPLING = 2  # rendered pixels per pixel of each side, for quality `fine`
 PRINT_DPI = 300
 
 
@@ -67,7 +67,7 @@ def check_size(what: str, width: int, height: int) -> None:
         RenderError: the size is out of range.
     """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
-        expected = f"1 to {MAX_SIDE} pixels a side"
+        expected = f"1 to {MAX_SIDE} pixels per side"
         problem = Problem(f"{what} size", found=(width, height), expected=expected)
         raise RenderError(problem)
 
@@ -81,9 +81,9 @@ def offscreen_size(
     samples: int | None = None,
     is_draft: bool = False,
 ) -> Iterator[None]:
-    """Sets the size of the offscreen buffer of OpenGL contexts created within this context.
+    """Sets the offscreen buffer size for OpenGL contexts created inside the `with` block.
 
-    MuJoCo reads it from the model, which is changed temporarily.
+    MuJoCo reads the size from the model, which is changed temporarily.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
@@ -109,21 +109,22 @@ class HeadlessRenderer(Painter):
 
     Args:
         quality: `draft` is fast with software OpenGL, `fine` is for print.
-        stereo: `side-by-side` for half of the image for each eye, the left eye on the left;
+        stereo: `side-by-side` for half of the image for each eye, with the left eye on the left;
             `anaglyph` for red-cyan glasses.
         eye_distance: distance between the eyes, m.
-        follow: robot, group or frame that the free camera follows; None for the setting of the
-            scene's view.
-        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension. None
-            selects a renderer for quality `fine` if that is requested, else `classic`. If it is
-            not available, the classic renderer is used, and a warning states the reason.
+        follow: robot, group or frame that the free camera follows (default: the setting of the
+            scene's view).
+        renderer: `classic` for OpenGL, or the name of an extension's `Renderer` (default: a
+            renderer for quality `fine` if this quality is requested, else `classic`). If the
+            renderer is not available, the classic renderer is used, and a warning states the
+            reason.
         frames: approximate number of frames to be rendered.
 
     Raises:
-        RenderError: OpenGL is not available, the size or eye distance is out of range, or there
-            is no such quality, renderer or stereo mode.
-        UnknownName: there is no camera or nothing to follow with this name.
-        UsageError: a fixed camera cannot follow anything.
+        RenderError: OpenGL is not available, the size or eye distance is out of range, or the
+            quality, renderer or stereo mode is unknown.
+        UnknownName: `camera` or `follow` is not a name of the scene.
+        UsageError: `follow` is set, but the camera is fixed.
     """
 
     def __init__(
@@ -212,9 +213,9 @@ class HeadlessRenderer(Painter):
         return pixels if out is not None else pixels.view(ImageArray)
 
     def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
-        """Moves the camera so that robots are in the image in all of some poses.
+        """Moves the camera so that the robots are in the image in all given poses.
 
-        A camera that follows something does not move; see `Framing.hold`.
+        A camera that follows something is not moved. See `Framing.hold`.
         """
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
@@ -226,7 +227,7 @@ class HeadlessRenderer(Painter):
         """Renders the part at every pixel, without decor and stereo.
 
         Returns:
-            numbers of parts (height, width), int32, top row first, which are indices of
+            part numbers, shape (height, width), int32, top row first. They are indices of
             `part_names`.
         """
         return self._filled(data).segmentation(self.decor.buffer)
@@ -235,14 +236,14 @@ class HeadlessRenderer(Painter):
         """Renders the depth of every pixel, without decor and stereo.
 
         Returns:
-            distances from the camera along the viewing direction (height, width), float32, m,
-            top row first; infinite for the sky.
+            distances from the camera along the viewing direction, shape (height, width), float32,
+            m, top row first. They are infinite for the sky.
         """
         return self._filled(data).depth(self.decor.buffer)
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of the parts by their numbers in `segmentation`, see `passes.Parts`."""
+        """Names of the parts, indexed by the part numbers of `segmentation`. See `passes.Parts`."""
         return self._pass_renderer().parts.names
 
     def _pass_renderer(self) -> PassRenderer:
@@ -266,9 +267,9 @@ class HeadlessRenderer(Painter):
     def render_blurred(
         self, subframes: Iterable[mujoco.MjData], out: Pixels | None = None
     ) -> Pixels:
-        """Renders one frame as the mean of subframes, which blurs motion.
+        """Renders one frame with motion blur, as the mean of subframes.
 
-        Text is that of the first subframe and remains sharp. Stereo is not supported.
+        Text is taken from the first subframe and stays sharp. Stereo is not supported.
         """
         exposure, text, scene = Exposure(), None, self._renderer.scene
         for data in subframes:
@@ -318,7 +319,7 @@ class HeadlessRenderer(Painter):
 
 
 def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
-    """Returns MuJoCo's renderer with an OpenGL context for images of a size.
+    """Returns MuJoCo's renderer with an OpenGL context for images of the requested size.
 
     Raises:
         RenderError: OpenGL is not available, or the size is too large.
@@ -339,8 +340,8 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
         raise RenderError(f"cannot render an image of {width}x{height}: {why}") from error
 
 
-NEXT_WITHIN = 0.5  # s in which a live source should send its next packet
-MAX_FRAMES = 1_000_000  # nine hours at 30 fps; more is probably a typing error
+NEXT_WITHIN = 0.5  # time within which a live source should send its next packet, s
+MAX_FRAMES = 1_000_000  # nine hours at 30 fps; a larger number is probably a typing error
 OnProgress = Callable[[int, int], None]
 
 
@@ -356,8 +357,8 @@ def render_image(
     """Renders an image of the current state of a scene.
 
     Args:
-        path: the file; .png, or another format of Pillow.
-        at: time of recordings and simulations, in seconds since their start.
+        path: image file in .png or another format of Pillow.
+        at: time since the start of recordings and simulations, s.
         painter: function that returns the renderer.
         **keywords: fields of `ImageOptions`: `size` (width, height), `quality`, `camera`,
             `stereo`, `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`,
@@ -412,10 +413,10 @@ def render_video(
     """Renders a video of a scene, in real time if it has live sources.
 
     Args:
-        path: the file; .mp4, .webm or .gif.
+        path: video file with the extension .mp4, .webm or .gif.
         **keywords: fields of `VideoOptions`: `duration` (s), `fps`, `orbit` (degrees),
-            `camera_path` (a file), and all of `render_image`; clicks are performed before the
-            first frame.
+            `camera_path` (a file), and all keywords of `render_image`. Clicks are performed before
+            the first frame.
 
     Returns:
         names of the sources without data.
@@ -425,7 +426,9 @@ def render_video(
     """
     path, options = Path(path), options or VideoOptions(**keywords)
     if options.render_pass != "colour":
-        expected = "an image: videos change the colors that encode parts and depths"
+        expected = (
+            "an image, because video compression changes the colors that encode parts and depths"
+        )
         raise RenderError(Problem(file=str(path), found=options.render_pass, expected=expected))
     fps = options.fps or default_fps(path)
     count = max(round(options.duration * fps), 1)
@@ -453,7 +456,7 @@ def write_video(
     options: ImageOptions,
     on_progress: OnProgress | None,
 ) -> list[str]:
-    """Writes rendered frames to a video; returns the names of the sources without data."""
+    """Writes rendered frames to a video, and returns the names of the sources without data."""
     with VideoWriter(path, *painter.size, fps) as film:
         silent = mirror.wait(options.wait)
         apply_switches(mirror.world, painter.toggles, options.shown, options.selected)

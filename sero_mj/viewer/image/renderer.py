@@ -1,7 +1,7 @@
-"""`Renderer`: renderers other than MuJoCo's classic renderer, and their selection.
+"""`Renderer`: base class of renderers other than MuJoCo's classic one, and their selection.
 
-A package adds a renderer with an entry point in the group `sero_mj.renderers`. Its name is the
-value of `--renderer`.
+A package adds a renderer with an entry point in the group `sero_mj.renderers`. The name of the
+entry point is the value of `--renderer`.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ class SceneRenderer(Protocol):
     """Renders a scene of MuJoCo into arrays.
 
     Attributes:
-        scene: to be filled by `mujoco.mjv_updateScene` before rendering.
+        scene: scene that the caller fills with `mujoco.mjv_updateScene` before rendering.
     """
 
     scene: mujoco.MjvScene
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Takes the shapes of skins and flexes from a state, which the geoms of a scene lack."""
+        """Reads the shapes of skins and flexes from a state. The scene does not contain them."""
 
     def render(self, out: Pixels | None = None) -> Pixels: ...
 
@@ -43,11 +43,11 @@ class SceneRenderer(Protocol):
 
 
 class Renderer(ABC):
-    """A kind of renderer, created without arguments.
+    """A kind of renderer, which is created without arguments.
 
     Attributes:
-        is_for_fine: whether it is the default for images of quality `fine`.
-        packages: packages that it needs on Debian and Ubuntu.
+        is_for_fine: whether this renderer is the default for images of quality `fine`.
+        packages: Debian and Ubuntu packages that this renderer needs.
     """
 
     title: ClassVar[str]
@@ -61,17 +61,17 @@ class Renderer(ABC):
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[SceneRenderer, AddedSurroundings | None]:
-        """Returns a renderer for a world, and the surroundings that it adds, if any."""
+        """Returns a renderer for a world, and the surroundings that the renderer adds, or None."""
 
 
 @cache
 def renderers() -> dict[str, Renderer]:
-    """Returns the renderers of extensions by name."""
+    """Returns a mapping from names to the renderers of extensions."""
     return {name: kind() for name, kind in load_all(RENDERERS, Renderer).items()}
 
 
 def choose_renderer(wanted: str | None, quality: Quality, width: int, height: int) -> str:
-    """Returns the name of the renderer for an image; logs a warning if it is not the wanted one.
+    """Returns the name of the renderer for an image, and warns if the wanted one is unavailable.
 
     Raises:
         RenderError: there is no such renderer.

@@ -1,4 +1,4 @@
-"""States of a mirror at a fixed rate, in real time if its sources are live."""
+"""Samples the state of a mirror at a fixed rate, in real time if its sources are live."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld, Mirror
 
 _POSES = 64
-_MAX_DURATION = 120.0  # s, of a recording that is read in advance
+_MAX_DURATION = 120.0  # maximum duration of a recording that is read in advance, s
 
 
 def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
@@ -26,9 +26,9 @@ def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
 
 
 def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.MjData]:
-    """Yields states over a time span, for a camera that has to show all of them.
+    """Yields states between two times, for a camera that has to show all of them.
 
-    The mirror must not be live; afterwards it is at `begin`.
+    The mirror must not be live. Afterwards, its time is `begin`.
     """
     # Backward, because recordings jump back without reading the frames in between.
     for now in np.linspace(end, begin, _POSES if mirror.sources else 1).tolist():
@@ -37,7 +37,7 @@ def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.
 
 
 def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -> Iterator[Array]:
-    """Yields the state at the time of every frame; a thread samples live sources.
+    """Yields the state at the time of every frame. A thread samples live sources.
 
     The consumer may be slower than the frame rate.
     """

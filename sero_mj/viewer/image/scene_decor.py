@@ -27,8 +27,8 @@ class SceneDecor:
     """The decor of a world in a window, page or image.
 
     Args:
-        toggles: shown features; None for those of the scene.
-        with_text: whether scenes contain panels and labels; otherwise the caller draws
+        toggles: switches of the shown features (default: the scene's switches).
+        with_text: whether panels and labels are added to scenes. Otherwise the caller draws
             `panels`.
 
     Attributes:

@@ -1,8 +1,8 @@
 """The light of the sky around a scene: radiance, irradiance and reflections.
 
-It depends only on the elevation: the sky of the palette, a large lamp above, and light reflected by
-the ground. Occlusion darkens the gaps between links, and no side is tinted. Filament and pages use
-it.
+The light consists of the sky of the palette, a large lamp above, and light reflected by the ground.
+It depends only on the elevation, so it does not tint one side of a robot. Occlusion darkens the
+gaps between links. Filament and web pages use this light.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ def linear(srgb: Array) -> Array:
 
 
 def shown(light: Array) -> Array:
-    """Returns displayed colors of linear light, the inverse of `linear`."""
+    """Returns the displayed colors, 0 to 1, of linear light. This is the inverse of `linear`."""
     light = np.clip(light, 0.0, None)
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -39,7 +39,7 @@ def _grey(rgb: Rgb) -> float:
 
 
 class SkyLight:
-    """Light of a palette as a function of the sine of the elevation, relative to white."""
+    """The light of a palette, relative to white, as a function of the sine of the elevation."""
 
     def __init__(self, palette: Palette) -> None:
         light = palette.physical
@@ -48,7 +48,7 @@ class SkyLight:
         self._lamp = light.softbox
 
     def radiance(self, up: Array) -> Array:
-        """Returns radiance (...) for sines of the elevation (...)."""
+        """Returns the radiance at each sine of the elevation, shape (...)."""
         up = np.asarray(up, float)
         high = np.clip(up, 0.0, 1.0)
         sky = self._horizon + (self._zenith - self._horizon) * np.sqrt(high)
@@ -57,9 +57,9 @@ class SkyLight:
         return np.asarray(share * sky + (1.0 - share) * self._ground)
 
     def irradiance(self) -> Array:
-        """Returns (a, b, c) of the irradiance over pi, a + b y + c (3 y^2 - 1).
+        """Returns the coefficients (a, b, c) of the irradiance divided by pi.
 
-        y is the sine of the elevation of a surface's normal.
+        This is a + b y + c (3 y^2 - 1), where y is the sine of the elevation of a surface's normal.
         """
         up, azimuth = np.linspace(-1.0, 1.0, 801), np.linspace(0.0, np.pi, 64)
         light, normals = self.radiance(up), np.linspace(-1.0, 1.0, 21)
@@ -74,11 +74,11 @@ class SkyLight:
         return np.asarray(np.linalg.lstsq(basis, np.array(found), rcond=None)[0])
 
     def reflected(self, up: Array, level: int) -> Array:
-        """Returns radiance (...) that surfaces of a roughness reflect.
+        """Returns the radiance, shape (...), that surfaces of one roughness reflect.
 
         Args:
-            up: sines of the elevation of the directions that a mirror would reflect, (...).
-            level: 0 for a mirror to `LEVELS` - 1 for the roughest surface.
+            up: sines of the elevation of the directions that a mirror would reflect, shape (...).
+            level: level of roughness, from 0 for a mirror to `LEVELS` - 1 for the roughest surface.
         """
         spread = _SHARPEST + (_BLUREST - _SHARPEST) * (level / (LEVELS - 1)) ** 2
         angles = np.linspace(-np.pi / 2, np.pi / 2, 181)

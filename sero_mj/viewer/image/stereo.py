@@ -19,7 +19,7 @@ from .image_options import Stereo
 STEREO: tuple[str, ...] = get_args(Stereo)
 _MAX_DISTANCE = 1.0  # m
 _LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `viewer.decor.panels`
-# Of red, green and blue for the left eye (red filter) and the right one (cyan), rows by column.
+# Weights of the colors red, green and blue for the left eye (red filter) and the right eye (cyan).
 # Source: Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001, as
 # published for common filters and screens.
 _LEFT = np.array([[0.437, 0.449, 0.164], [-0.062, -0.062, -0.024], [-0.048, -0.050, -0.017]])
@@ -28,7 +28,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_stereo(stereo: str | None, eye_distance: float) -> None:
-    """Raises RenderError for an unknown kind of stereo, or a distance out of range."""
+    """Raises RenderError for an unknown stereo mode or an eye distance out of range."""
     if stereo is not None and stereo not in STEREO:
         raise RenderError(f"found stereo {shown(stereo)}; expected {' or '.join(STEREO)}")
     if not 0 < eye_distance <= _MAX_DISTANCE:
@@ -37,11 +37,11 @@ def check_stereo(stereo: str | None, eye_distance: float) -> None:
 
 
 def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> Iterator[None]:
-    """Moves the camera of a scene to the left eye, then to the right eye, and yields at each.
+    """Moves the camera of a scene to the left eye, then to the right eye, and yields at each eye.
 
     Args:
-        scene: filled by `mjv_updateScene` and decor; restored afterwards.
-        distance: distance along the viewing direction of points at the same pixel for both
+        scene: scene filled by `mjv_updateScene` and decor. It is restored afterwards.
+        distance: distance along the viewing direction at which points have the same pixel for both
             eyes, m.
     """
     first = scene.camera[0]

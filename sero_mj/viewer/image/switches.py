@@ -1,4 +1,4 @@
-"""Switches of `Toggles` as text, for commands and links."""
+"""Converts switches of `Toggles` from and to text, for commands and links."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _MAX_DIGIT = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PAR
 
 
 def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
-    """Returns switches that differ from the declared ones: one digit per item, or one for all."""
+    """Returns the digits of switches that differ from the declared ones, see `apply_switches`."""
     declared = Toggles(world)
     found = {}
     for name in SWITCH_NAMES:
@@ -40,15 +40,16 @@ def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
 def apply_switches(
     world: WorldView, toggles: Toggles, digits_of: Mapping[str, str], selected: str | None = None
 ) -> None:
-    """Sets switches, and the selected joint.
+    """Sets switches and the selected joint.
 
     Args:
-        digits_of: digits by the names in `SWITCH_NAMES`: one for each item (joint, frame, ...),
-            or one for all. 1 is on; `arrow_quantity` and `part_names` are indices.
+        digits_of: mapping from names in `SWITCH_NAMES` to digits: one digit for each item (joint,
+            frame, ...), or one digit for all items. 1 is on. For `arrow_quantity` and `part_names`,
+            digits are indices.
 
     Raises:
-        UsageError: there is no such switch, or its digits are invalid.
-        UnknownName: there is no such joint.
+        UsageError: a switch is unknown, or its digits are invalid.
+        UnknownName: the world has no joint with the selected name.
     """
     if selected is not None:
         toggles.selected = find_joint(world, selected)
@@ -70,7 +71,7 @@ def apply_switches(
 
 
 def find_joint(world: WorldView, name: str) -> int:
-    """Returns the index of a joint such as `lwr/A2`; raises UnknownName if there is none."""
+    """Returns the index of a joint such as `lwr/A2`. Raises UnknownName if it does not exist."""
     names = [joint_name(world, i) for i in range(len(world.joints.names))]
     if name not in names:
         raise UnknownName("joint", name, names)

@@ -1,8 +1,8 @@
 """Computes the mipmaps of textures without OpenGL, for drafts.
 
-Mesa's software renderer generates mipmaps with shaders that it compiles for every context: 50 ms
-for the floor and 50 ms for the sky, more than the whole image of a small robot takes. Its mipmaps
-are rounded differently, which changes an image by at most 3 of 255.
+Mesa's software renderer generates mipmaps with shaders that it compiles for every context. This
+takes 50 ms for the floor and 50 ms for the sky, more than rendering an image of a small robot. Mesa
+rounds mipmaps differently, which changes pixels by at most 3 of 255.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from ...base.frames import Ints
 from .image_files import Pixels
 
 _SRGB = mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
-_FACES = 6  # of a cube, one below the other
+_FACES = 6  # faces of a cube, stored one below the other
 
 
 @contextmanager
 def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
-    """Omits textures from the OpenGL contexts that are created in this context.
+    """Omits textures from the OpenGL contexts that are created inside the `with` block.
 
     The model is changed temporarily: one pixel of each omitted texture is uploaded.
 
     Yields:
-        ids of the textures for `upload_textures`: plain colors with sides that are powers of
-        two.
+        ids of the omitted textures, for `upload_textures`. These textures have plain colors, and
+        their sides are powers of two.
     """
     wide, tall = model.tex_width.copy(), model.tex_height.copy()
     is_cube = tall == _FACES * wide

@@ -1,7 +1,7 @@
-"""`Typesetter`: sets panels of text in Inter, as images to be laid over others.
+"""`Typesetter`: sets panels of text in the font Inter, as images that are drawn over frames.
 
-Images use `compose`, windows OpenGL. Names, labels and units of a panel are set once. Only its
-numbers are set in every frame, from an atlas of digits of equal width.
+Images are combined by `compose`, and in windows by OpenGL. Names, labels and units of a panel are
+set once. Only the numbers are set in every frame, from an atlas of digits of equal width.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Rgba = tuple[float, float, float, float]
 Size = tuple[int, int]
 
 _EM = 0.74  # fraction of a line's height
-_RADIUS = 0.28  # of the corners, fraction of a line's height
+_RADIUS = 0.28  # radius of the corners, fraction of a line's height
 _EDGE = 0.10  # fraction of white in a panel's outline
 _FIGURES = "0123456789.-+e"
 _MINUS = "\N{MINUS SIGN}"
@@ -37,7 +37,7 @@ _CACHED_PANELS, _CACHED_TEXTS = 128, 512
 
 @dataclass(frozen=True)
 class PlacedText:
-    """A line of text in a panel; characters without a font become question marks."""
+    """A line of text in a panel. Characters that no font contains become question marks."""
 
     x: float
     y: float
@@ -51,7 +51,7 @@ class PlacedPanel:
     """A panel at its position in an image.
 
     Attributes:
-        pixels: (height, width, 4), premultiplied RGBA, top row first.
+        pixels: premultiplied RGBA, shape (height, width, 4), top row first.
     """
 
     left: int
@@ -60,7 +60,7 @@ class PlacedPanel:
 
 
 class Typesetter:
-    """Sets text of one size."""
+    """Sets text of one font size."""
 
     def __init__(self, line: int) -> None:
         size = _EM * line
@@ -226,7 +226,7 @@ def compose(image: Bytes, panels: Sequence[PlacedPanel]) -> None:
         y, x = max(top, 0), max(left, 0)
         over = placed.pixels[y - top :, x - left :][: max(height - y, 0), : max(width - x, 0)]
         below = image[y : y + over.shape[0], x : x + over.shape[1]]
-        # In steps that are fast in numpy: half the time of one expression that broadcasts alpha.
+        # These steps take half the time of one numpy expression that broadcasts alpha.
         through = np.repeat(256 - over[..., 3].astype(np.uint16), 3, axis=1)
         mixed = below.astype(np.uint16)
         mixed *= through.reshape(mixed.shape)

@@ -1,4 +1,4 @@
-"""The frames of a video: states of a mirror, a camera that may move, and motion blur."""
+"""Renders the frames of a video from states of a mirror, with camera motion and motion blur."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from .image_files import Pixels
 from .image_options import VideoOptions
 from .sampling import known_poses, sampled_states
 
-_TURNS = 24  # steps of a turntable that the camera has to show
+_TURNS = 24  # steps of a turntable for which the robots have to be in the image
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 SUBFRAMES = 8
 SHUTTER = 0.5  # exposure time, fraction of the time between two frames
@@ -38,7 +38,7 @@ OnState = Callable[[mujoco.MjData], None]
 
 
 class VideoRenderer(Protocol):
-    """Renders a video: a `HeadlessRenderer`. Its camera may be moved between frames."""
+    """A renderer for videos, such as a `HeadlessRenderer`. Its camera may move between frames."""
 
     world: WorldView
     camera: mujoco.MjvCamera
@@ -64,7 +64,7 @@ def video_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Renders the state at the time of every frame, always into the same array."""
+    """Yields the rendered image of every frame, always in the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:
@@ -153,7 +153,7 @@ def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
     names = ("orbit", "camera_path")
     moved = [options.spelled(name) for name in names if getattr(options, name) is not None]
     if len(moved) > 1:
-        raise UsageError(f"{' and '.join(moved)}: both move the camera; remove one of them")
+        raise UsageError(f"{' and '.join(moved)} both move the camera; remove one of them")
     if moved and renderer.camera.type != _FREE:
         name = renderer.world.model.camera(renderer.camera.fixedcamid).name
         expected = "the free camera, azimuth,elevation,distance or the scene's view"
@@ -161,9 +161,9 @@ def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
 
 
 class Exposure:
-    """Averages the images of a frame, which are rendered for subframes at equal intervals.
+    """Averages the images of a frame's subframes, which are at equal intervals.
 
-    If nothing has moved since the last subframe, its image is used again.
+    If nothing has moved since the last subframe, its image is reused.
     """
 
     def __init__(self) -> None:
@@ -173,11 +173,11 @@ class Exposure:
         self._count = 0
 
     def moves(self, view: ImageView, points: Array) -> bool:
-        """Whether a subframe needs a new image, to be passed to `add`.
+        """Returns whether a subframe needs a new image, which the caller passes to `add`.
 
         Args:
-            view: view of the camera in that subframe.
-            points: points on everything that may move, (..., 3), m.
+            view: view of the camera in this subframe.
+            points: points on everything that may move, shape (..., 3), m.
         """
         pixels, depth = view.project(points)
         if self._seen is not None:

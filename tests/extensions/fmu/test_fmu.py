@@ -103,9 +103,7 @@ def test_logs_are_those_of_the_law_in_python(
         assert values == pytest.approx(in_python[key], abs=1e-9), key
 
 
-def test_a_unit_that_another_tool_has_made_is_run(
-    folder: Path, in_python: dict[str, np.ndarray]
-) -> None:
+def test_unit_made_by_another_tool_is_run(folder: Path, in_python: dict[str, np.ndarray]) -> None:
     pytest.importorskip("pythonfmu")
     (folder / "impedance.py").write_text(PYTHON)
     command = [
@@ -151,7 +149,7 @@ def test_inputs_may_be_mapped_and_parameters_set(folder: Path, version: int) -> 
         (None, {"file": "scenario.toml"}, "file", "not an FMU"),
     ],
 )
-def test_units_that_do_not_fit_are_told(
+def test_incompatible_units_are_rejected(
     folder: Path, names: list[str] | None, settings: dict[str, Any], key: str, said: str
 ) -> None:
     name = write_fmu(folder, 3, names, "wrong.fmu")
@@ -196,7 +194,7 @@ def test_variables_must_have_a_number_per_joint(
     ("failing", "said"),
     [("FMU_FAIL", "cannot be initialized"), ("FMU_STEP_FAIL", "fmi2DoStep")],
 )
-def test_units_that_fail_end_the_run(
+def test_failing_units_end_the_run(
     folder: Path, failing: str, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(failing, "1")  # asked by the unit

@@ -79,14 +79,14 @@ def give(receiver: FrankaReceiver, server: FrankaServer, *datagrams: bytes) -> N
 
 
 @pytest.mark.parametrize("version", STATES)
-def test_fields_are_where_a_packed_struct_has_them(version: int) -> None:
+def test_field_offsets_equal_those_of_a_packed_struct(version: int) -> None:
     made = STATES[version]
     theirs = {name: getattr(made, name).offset for name, *_ in made._fields_}
     assert {name: at for name, (at, _) in state_fields(version).items()} == theirs
     assert state_size(version) == ctypes.sizeof(made)
 
 
-def test_offsets_are_those_that_the_published_headers_compile_to() -> None:
+def test_field_offsets_equal_those_of_the_published_headers() -> None:
     names = ("tau_J", "tau_J_d", "q", "q_d", "dq", "tau_ext_hat_filtered", "O_F_ext_hat_K")
     new, old = state_fields(10), state_fields(9)
     assert [new[name][0] for name in names] == [512, 540, 596, 624, 652, 840, 868]
@@ -95,7 +95,7 @@ def test_offsets_are_those_that_the_published_headers_compile_to() -> None:
 
 
 @pytest.mark.parametrize("version", STATES)
-def test_every_version_is_found_and_every_event_is_there(version: int) -> None:
+def test_every_version_is_detected_and_every_event_is_decoded(version: int) -> None:
     fields = {
         name: [100.0 * k + x for x in SEVEN]
         for k, name in enumerate(("tau_J", "tau_J_d", "q", "q_d", "dq", "tau_ext_hat_filtered"))
@@ -153,7 +153,7 @@ def test_nothing_but_the_question_is_sent(server: FrankaServer) -> None:
     assert (text.count("sendall("), text.count("sendto"), text.count(".send(")) == (1, 0, 0)
 
 
-def test_states_that_are_missing_are_lost(server: FrankaServer) -> None:
+def test_missing_states_are_counted_as_lost(server: FrankaServer) -> None:
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         numbers = [1000, 1001, 1004, 1005, 1005]
@@ -198,7 +198,7 @@ def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, cou
         assert server.connections == 4
 
 
-def test_two_versions_that_name_each_other_are_no_endless_loop() -> None:
+def test_two_versions_that_refer_to_each_other_cause_no_endless_loop() -> None:
     said = [answer(1, version=9), answer(1, version=10)]
     with FrankaServer(answers=said) as server, receiver_of(server) as receiver:
         told = f"127.0.0.1:{server.port} refuses version 9, and says that it has 10"
@@ -221,7 +221,7 @@ def test_invalid_states_are_counted_and_reported(server: FrankaServer) -> None:
         assert counters.not_finite == 1
 
 
-def test_only_the_robot_is_listened_to(server: FrankaServer) -> None:
+def test_packets_of_other_senders_are_ignored(server: FrankaServer) -> None:
     with receiver_of(server) as receiver, socket.socket(type=socket.SOCK_DGRAM) as other:
         assert server.started.wait(5.0)
         other.bind(("127.0.0.2", 0))
@@ -231,7 +231,7 @@ def test_only_the_robot_is_listened_to(server: FrankaServer) -> None:
         assert (receiver.counters.received, receiver.receive_trigger) == (2, 1)
 
 
-def test_others_do_not_stand_in_for_a_robot_that_stalls(
+def test_other_senders_do_not_replace_a_stalled_robot(
     server: FrankaServer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
@@ -247,14 +247,14 @@ def test_others_do_not_stand_in_for_a_robot_that_stalls(
         assert until(has_left)
 
 
-def test_what_is_said_besides_states_ends_the_connection(server: FrankaServer) -> None:
+def test_unexpected_tcp_message_ends_the_connection(server: FrankaServer) -> None:
     with receiver_of(server) as receiver:
         server.say(b"move!")
         assert until(lambda: server.connections == 2) and server.started.wait(5.0)
         assert receiver.counters.wrong_size == 1
 
 
-def test_a_stalled_robot_is_disconnected(
+def test_stalled_robot_is_disconnected(
     server: FrankaServer, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
@@ -272,7 +272,7 @@ def test_a_stalled_robot_is_disconnected(
         assert until(lambda: is_told(f"{where}sends nothing for 0.05 s"))
 
 
-def test_a_robot_that_goes_away_is_connected_to_again(server: FrankaServer) -> None:
+def test_robot_that_disconnects_is_connected_again(server: FrankaServer) -> None:
     with receiver_of(server) as receiver:
         for k in range(3):
             assert until(lambda k=k: server.connections == k + 1) and server.started.wait(5.0)
@@ -282,7 +282,7 @@ def test_a_robot_that_goes_away_is_connected_to_again(server: FrankaServer) -> N
         assert (receiver.counters.received, receiver.counters.lost) == (6, 0)
 
 
-def test_a_robot_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+def test_receiver_waits_for_a_robot_that_is_off(caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = int(free.getsockname()[1])
     with FrankaReceiver(host="127.0.0.1", port=port) as receiver:
@@ -330,7 +330,7 @@ def test_random_bytes_end_a_connection_and_nothing_else(
 
 @settings(max_examples=examples(60))
 @given(st.sampled_from([*STATES]), st.data())
-def test_what_a_state_holds_is_what_its_packet_holds(version: int, data: st.DataObject) -> None:
+def test_decoded_state_equals_its_packet(version: int, data: st.DataObject) -> None:
     width = 32 if version >= 10 else 64
     reals = st.floats(allow_nan=False, allow_infinity=False, width=width)
     given = {
@@ -353,7 +353,7 @@ def test_what_a_state_holds_is_what_its_packet_holds(version: int, data: st.Data
 # ---- in words
 
 
-def test_modes_and_errors_are_told_in_words() -> None:
+def test_modes_and_errors_are_described_in_words() -> None:
     receiver = FrankaReceiver(host="a")
 
     def values_of(**fields: Any) -> dict[str, Any]:
@@ -411,7 +411,7 @@ def test_fields_are_checked(fields: dict[str, Any], key: str, reason: str) -> No
     assert problem.message.startswith(reason)
 
 
-def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
+def test_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
     file, recording = tmp_path / "fr3.toml", tmp_path / "fr3.mcap"
     with FrankaServer(9) as server:
         file.write_text(SCENE.format(port=server.port))
@@ -452,7 +452,7 @@ def check(mirror: Mirror, target: list[float]) -> None:
     np.testing.assert_array_equal(data.userdata[world.slots["target.joint_angles"]], target)
 
 
-def test_status_tells_what_the_robot_says(tmp_path: Path, capsys: Any) -> None:
+def test_status_reports_the_state_of_the_robot(tmp_path: Path, capsys: Any) -> None:
     file = tmp_path / "fr3.toml"
     with FrankaServer() as server:
         file.write_text(SCENE.format(port=server.port))

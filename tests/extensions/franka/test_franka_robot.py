@@ -87,9 +87,7 @@ def states(simulation: Simulation) -> np.ndarray:
 
 
 @pytest.mark.parametrize("version", [10, 5, 7])
-def test_a_client_follows_by_torques_in_lockstep_and_again_the_same(
-    tmp_path: Path, version: int
-) -> None:
+def test_torque_client_runs_in_lockstep_and_is_reproducible(tmp_path: Path, version: int) -> None:
     simulation, found = simulated(tmp_path, "torques", version=version)
     assert found == {"greeting": [0, version, 0], "status": 0}
     modes = states(simulation)
@@ -152,7 +150,7 @@ def test_violations_end_the_motion_by_a_reflex_until_the_client_recovers(
     assert told[2].endswith("a commanded torque is not finite, or huge")
 
 
-def test_a_client_that_stalls_has_an_error_and_may_go_on(
+def test_stalled_client_has_an_error_and_may_continue(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation, found = simulated(tmp_path, "stall", patience=0.3)
@@ -163,7 +161,7 @@ def test_a_client_that_stalls_has_an_error_and_may_go_on(
     assert {1.0, 2.0} <= set(states(simulation)[1:].tolist())
 
 
-def test_a_motion_is_stopped_on_request(tmp_path: Path) -> None:
+def test_motion_is_stopped_on_request(tmp_path: Path) -> None:
     simulation, found = simulated(tmp_path, "stop", duration=0.4)
     assert (found["stopped"], found["status"]) == (0, 2)  # preempted
     assert states(simulation)[[99, -1]].tolist() == [2, 1]
@@ -196,7 +194,7 @@ def test_incomplete_messages_and_other_versions_are_reported(
     assert states(simulation)[2] == 2
 
 
-def test_the_run_continues_without_its_client_and_ends_with_a_failed_program(
+def test_run_continues_without_its_client_and_ends_with_a_failed_program(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation, _ = simulated(tmp_path, "dies", duration=0.5)
@@ -234,7 +232,7 @@ def test_requests_are_answered(tmp_path: Path, version: int) -> None:
         assert (status, urdf) == (0, urdf_of(RobotModel.of(robot.model_copy())))
 
 
-def test_the_model_of_clients_is_that_of_the_robot() -> None:
+def test_model_of_clients_equals_that_of_the_robot() -> None:
     robot = SerialRobot.from_model("fr3")
     model = RobotModel.of(robot)
     compiled = mujoco.MjModel.from_xml_string(urdf_of(model))
@@ -273,7 +271,7 @@ end = 2.0
     np.testing.assert_allclose(found["tau_ext"], expected, atol=0.3)
 
 
-def test_our_receiver_sees_the_robot_as_the_log_has_it(tmp_path: Path) -> None:
+def test_our_receiver_decodes_the_logged_robot(tmp_path: Path) -> None:
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -304,7 +302,7 @@ def test_our_receiver_sees_the_robot_as_the_log_has_it(tmp_path: Path) -> None:
     assert (values["robot_mode"] == 1).all()
 
 
-def test_in_real_time_commands_come_within_a_millisecond_or_are_counted(tmp_path: Path) -> None:
+def test_real_time_commands_arrive_within_a_millisecond_or_are_counted(tmp_path: Path) -> None:
     simulation, found = simulated(tmp_path, "torques", 0.9, clock="real_time")
     rates = signal_of(simulation, "command_success_rate")
     modes = states(simulation)
@@ -315,7 +313,7 @@ def test_in_real_time_commands_come_within_a_millisecond_or_are_counted(tmp_path
         assert modes[-1] == 4
 
 
-def test_without_a_client_a_run_ends_only_in_lockstep(
+def test_run_without_a_client_ends_only_in_lockstep(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     def run(clock: str, port: int) -> Simulation:
@@ -368,7 +366,7 @@ def test_ctrl_c_ends_the_run_and_its_program(tmp_path: Path) -> None:
         ({"clock": "none"}, "clock"),
     ],
 )
-def test_a_wrong_declaration_names_its_key(fields: dict[str, Any], message: str) -> None:
+def test_invalid_declaration_names_its_key(fields: dict[str, Any], message: str) -> None:
     model = RobotModel.of(SerialRobot.from_model("fr3"))
     with pytest.raises(DeclarationError) as caught:
         FrankaClient(**fields).make(model, 1e-3)

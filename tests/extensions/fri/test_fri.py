@@ -23,7 +23,7 @@ from sero_mj.load import load_scene
 # ---- the layout
 
 
-def test_every_field_is_where_the_interface_has_it() -> None:
+def test_every_field_has_the_offset_of_the_interface() -> None:
     assert struct.calcsize(FORMAT) == FriLayout().size == 916
     fields = {field.name: field for field in FriLayout().fields if field.name}
     assert list(fields) == [name for *_, name in TABLE]
@@ -32,7 +32,7 @@ def test_every_field_is_where_the_interface_has_it() -> None:
         assert np.dtype(fields[name].type) == np.dtype(f"<{kind}"), name
 
 
-def test_all_numbers_of_a_packet_are_decoded_in_our_conventions() -> None:
+def test_all_fields_of_a_packet_are_decoded_in_our_conventions() -> None:
     numbers = [float(k) for k in range(300)]
     numbers = [int(k) if code in "HIi" else k for k, code in zip(numbers, codes(), strict=False)]
     packet = struct.pack(FORMAT, *numbers)
@@ -62,7 +62,7 @@ def codes() -> Iterator[str]:
             yield from single[-1] * int(single[:-1] or 1)
 
 
-def test_the_moment_comes_as_z_y_x() -> None:
+def test_moment_is_received_as_z_y_x() -> None:
     values = FriLayout().decode(measurement(tcp_force=[1, 2, 3], tcp_moment=[30, 20, 10]))
     assert values["tcp_force"].tolist() == [[1, 2, 3]]
     assert values["tcp_moment"].tolist() == [[10, 20, 30]]
@@ -91,7 +91,7 @@ def test_encoding_is_the_inverse_of_decoding() -> None:
     [("structure", "7F"), ("double", True), ("column_major", True), ("sequence", ""),
      ("time", "latency"), ("scale", 0.001), ("time_scale", 1e-3), ("alignment", 4)],
 )  # fmt: skip
-def test_what_fri_fixes_cannot_be_set(field: str, value: object) -> None:
+def test_fields_determined_by_fri_cannot_be_set(field: str, value: object) -> None:
     with pytest.raises(DeclarationError) as caught:
         make_source("fri", {"kind": "fri", field: value})
     assert str(caught.value).startswith(f"{field}: found {shown(value)}; FRI determines")
@@ -114,7 +114,7 @@ def test_omitted_fields_default_to_those_of_fri() -> None:
 
 
 @pytest.mark.parametrize("start", [0, 65_500])
-def test_the_counter_wraps_without_a_loss(controller: socket.socket, start: int) -> None:
+def test_counter_wraps_without_a_loss(controller: socket.socket, start: int) -> None:
     with FriReceiver(udpport=0) as receiver:
         give(receiver, controller, *(measurement((start + k) % 65_536) for k in range(200)))
         counters = receiver.counters
@@ -124,7 +124,7 @@ def test_the_counter_wraps_without_a_loss(controller: socket.socket, start: int)
         assert (packet.number, *packet.values["send_counter"]) == (200, (start + 199) % 65_536)
 
 
-def test_what_is_withheld_is_lost_and_what_comes_twice_is_applied_once(
+def test_withheld_packets_are_lost_and_duplicates_applied_once(
     controller: socket.socket,
 ) -> None:
     numbers = [(65_530 + k) % 65_536 for k in range(20) if k not in (3, 6, 7)]
@@ -137,7 +137,7 @@ def test_what_is_withheld_is_lost_and_what_comes_twice_is_applied_once(
 
 
 @pytest.mark.parametrize("batch", [[5, 5, 7], [5, 7, 6, 8], [5, 7, 7, 8]])
-def test_a_batch_that_ends_where_a_whole_one_would_is_looked_at(batch: list[int]) -> None:
+def test_incomplete_batch_with_the_expected_end_is_detected(batch: list[int]) -> None:
     tracker = SequenceTracker(65_536)
     tracker.classify(4, 0.0)
     assert tracker.is_consecutive(list(range(5, batch[-1] + 1)))
@@ -164,7 +164,7 @@ def test_a_batch_that_ends_where_a_whole_one_would_is_looked_at(batch: list[int]
     ],
     ids=["short", "command", "id", "size", "nan", "inf"],
 )
-def test_a_wrong_packet_is_counted_by_its_cause(
+def test_wrong_packet_is_counted_by_its_cause(
     controller: socket.socket, packet: bytes, kind: str, fault: str
 ) -> None:
     with FriReceiver(udpport=0) as receiver:
@@ -180,7 +180,7 @@ MIRRORED = [2, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0]
 
 
 @pytest.mark.parametrize("commanded", [[0.0] * 12, [math.nan] * 12, MIRRORED])
-def test_a_frame_that_is_none_is_no_data(controller: socket.socket, commanded: list[float]) -> None:
+def test_invalid_frame_counts_as_no_data(controller: socket.socket, commanded: list[float]) -> None:
     with FriReceiver(udpport=0) as receiver:
         give(receiver, controller, measurement(commanded_frame=commanded))
         assert receiver.counters.malformed == 0
@@ -190,7 +190,7 @@ def test_a_frame_that_is_none_is_no_data(controller: socket.socket, commanded: l
         assert packet.values["flange_frame"][0, :3, 3] == pytest.approx([0.1, 0.2, 0.3])
 
 
-def test_only_what_is_routed_has_to_be_right(controller: socket.socket, tmp_path: Path) -> None:
+def test_only_routed_values_must_be_valid(controller: socket.socket, tmp_path: Path) -> None:
     scene = tmp_path / "s.toml"
     scene.write_text(
         '[robots.lwr]\nmodel = "lwr"\n[objects.box]\nshape = "box"\nsize = [1, 1, 1]\n'

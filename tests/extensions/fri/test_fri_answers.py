@@ -24,7 +24,7 @@ from sero_mj.extensions.fri.receiver import COMMAND, FriReceiver, no_command
 from sero_mj.load import load_scene
 
 
-def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> None:
+def test_receiver_without_answer_sends_nothing(controller: socket.socket) -> None:
     with FriReceiver(udpport=0) as receiver:
         give(receiver, controller, *(measurement(k, state=2) for k in range(50)), bytes(3))
         assert receiver.latest() is not None
@@ -46,7 +46,7 @@ def test_nothing_but_the_answer_sends() -> None:
     assert FriReceiver()._on_arrival(lambda *_: None) is None
 
 
-def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
+def test_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         moving = {"joint_angles": 1.0, "krl_real": 2.0, "krl_int": 3, "krl_bool": 0xFFFF}
         for k, counter in enumerate((65_534, 65_535, 0, 1), start=1):
@@ -62,12 +62,12 @@ def test_an_answer_is_a_header_and_zeros(controller: socket.socket) -> None:
     assert command.decode(answer)["command_flags"] == 0
 
 
-def test_the_counter_of_answers_wraps() -> None:
+def test_counter_of_answers_wraps() -> None:
     assert no_command(65_535, 5)[:4] == struct.pack("<HH", 65_535, 5)
     assert no_command(65_536, 5)[:4] == struct.pack("<HH", 0, 5)
 
 
-def test_every_measurement_is_answered_and_nothing_else() -> None:
+def test_only_measurements_are_answered() -> None:
     receiver, sent = FriReceiver(udpport=0, answer=True), []
 
     def send(packet: bytes, to: bytes) -> None:
@@ -93,7 +93,7 @@ def test_every_measurement_is_answered_and_nothing_else() -> None:
     assert receiver.answers == 3
 
 
-def test_what_came_while_others_computed_is_answered_as_well(controller: socket.socket) -> None:
+def test_packets_received_during_callbacks_are_answered(controller: socket.socket) -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         held = threading.Event()
         receiver.on_receive(lambda: held.wait(5.0) and None)  # the thread stands still
@@ -105,7 +105,7 @@ def test_what_came_while_others_computed_is_answered_as_well(controller: socket.
         assert until(lambda: receiver.answers == 40)
 
 
-def test_an_answer_goes_before_the_packet_is_looked_at(controller: socket.socket) -> None:
+def test_answer_is_sent_before_the_packet_is_processed(controller: socket.socket) -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         looked, go_on = threading.Event(), threading.Event()
 
@@ -132,7 +132,7 @@ def test_threads_take_short_turns_only_while_somebody_answers() -> None:
         assert sys.getswitchinterval() == usual
 
 
-def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:
+def test_unexpected_sender_gets_no_answer(controller: socket.socket) -> None:
     with FriReceiver(udpport=0, answer=True, sender=["127.0.0.1:9"]) as receiver:
         give(receiver, controller, measurement())
         assert (receiver.counters.foreign, receiver.answers) == (1, 0)
@@ -162,7 +162,7 @@ def test_a_stranger_gets_no_answer(controller: socket.socket) -> None:
         ),
     ],
 )
-def test_an_unhealthy_state_is_shown_in_the_corner(
+def test_unhealthy_state_is_shown_in_the_corner(
     controller: socket.socket, state: int, quality: int, answer: bool, lines: list[str]
 ) -> None:
     scene = load_scene("lwr_fri")
@@ -182,7 +182,7 @@ def test_an_unhealthy_state_is_shown_in_the_corner(
         ]
 
 
-def test_a_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
+def test_recording_of_fri_is_decoded_as_fri(tmp_path: Path) -> None:
     packets = [
         measurement(65_535, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=0.1),
         measurement(0, quality=1, tcp_moment=[3, 2, 1], commanded_before_fri=math.nan),

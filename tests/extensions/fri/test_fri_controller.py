@@ -76,7 +76,7 @@ def answered(controller: FriController, count: int, every: Callable[[int], bool]
 # ---- packets
 
 
-def test_a_packet_has_what_a_controller_tells(lwr: SerialRobot) -> None:
+def test_packet_contains_the_values_of_a_controller(lwr: SerialRobot) -> None:
     values = events(FriController(lwr, cycle=0.002, counter=65_535).measure(1.5))
     assert values["send_counter"] == 65_535
     assert (values["timestamp"], values["state"], values["quality"]) == (1.5, 1, 0)
@@ -95,7 +95,7 @@ def test_a_packet_has_what_a_controller_tells(lwr: SerialRobot) -> None:
     assert ((low < values["joint_angles"]) & (values["joint_angles"] < high)).all()
 
 
-def test_what_it_tells_is_consistent(lwr: SerialRobot) -> None:
+def test_signals_are_consistent(lwr: SerialRobot) -> None:
     values = FriSignals(lwr).at(2.0)
     q, R = values["joint_angles"], values["flange_frame"][:3, :3]
     in_base = lwr.dh.jacobian(q, flange_frame=lwr.flange_frame)
@@ -111,7 +111,7 @@ def test_what_it_tells_is_consistent(lwr: SerialRobot) -> None:
     np.testing.assert_allclose(held, still["gravity_torques"], atol=1e-9)
 
 
-def test_counters_wrap_and_begin_anew_after_a_restart(lwr: SerialRobot) -> None:
+def test_counters_wrap_and_restart(lwr: SerialRobot) -> None:
     controller = FriController(lwr, counter=65_534)
     numbers = [events(controller.measure(0.0))["send_counter"][0] for _ in range(4)]
     assert numbers == [65_534, 65_535, 0, 1]
@@ -150,7 +150,7 @@ def test_quality_follows_the_answer_rate(
     assert values["miss_counter"] == sum(not every(k) for k in range(118))
 
 
-def test_a_late_answer_is_a_missed_one() -> None:
+def test_late_answer_counts_as_missed() -> None:
     statistics = AnswerStatistics()
     for k in range(4):
         statistics.send(k, 0.01 * k)
@@ -164,13 +164,13 @@ def test_a_late_answer_is_a_missed_one() -> None:
     assert values["latency"] == pytest.approx(0.02)
 
 
-def test_it_starts_as_unacceptable_and_gets_perfect(lwr: SerialRobot) -> None:
+def test_quality_starts_unacceptable_and_becomes_perfect(lwr: SerialRobot) -> None:
     controller = FriController(lwr)
     qualities = [events(answered(controller, 26, lambda k: True))["quality"][0] for _ in range(4)]
     assert qualities == [0, 1, 1, 3]
 
 
-def test_what_is_no_command_is_not_counted_as_an_answer(lwr: SerialRobot) -> None:
+def test_invalid_command_is_not_counted_as_an_answer(lwr: SerialRobot) -> None:
     controller = FriController(lwr)
     for packet in (b"", bytes(376), no_command(1, 1)[:-1], measurement()):
         assert not controller.take_answer(packet, 0.0)
@@ -182,7 +182,7 @@ def test_what_is_no_command_is_not_counted_as_an_answer(lwr: SerialRobot) -> Non
 
 
 @pytest.mark.parametrize("name", ["unacceptable", "bad", "ok", "perfect", "invalid"])
-def test_a_quality_can_be_told_whatever_is_answered(lwr: SerialRobot, name: str) -> None:
+def test_declared_quality_is_sent_regardless_of_answers(lwr: SerialRobot, name: str) -> None:
     values = events(FriController(lwr, quality=name, commands=True).measure(0.0))
     numbers = {"unacceptable": 0, "bad": 1, "ok": 2, "perfect": 3, "invalid": 65_535}
     assert values["quality"] == numbers[name]
@@ -192,7 +192,7 @@ def test_a_quality_can_be_told_whatever_is_answered(lwr: SerialRobot, name: str)
 # ---- faults, and another process
 
 
-def test_the_network_fails_the_same_way_for_one_seed() -> None:
+def test_network_faults_are_reproducible_by_seed() -> None:
     def outcome(**shares: Any) -> list[bytes]:
         faults = NetworkFaults(**shares)
         return [out for k in range(500) for out in faults.transmit(b"%d" % k)]
@@ -208,7 +208,7 @@ def test_the_network_fails_the_same_way_for_one_seed() -> None:
 
 @pytest.mark.slow
 @pytest.mark.thorough
-def test_a_client_in_another_process_counts_what_was_withheld() -> None:
+def test_client_in_another_process_counts_withheld_packets() -> None:
     faults = {"loss": 0.1, "duplicates": 0.05, "swaps": 0.05, "seed": 5}
     with FriReceiver(udpport=0, only_latest_packet=False, buffer_size=4_000_000) as receiver:
         made, lost, doubled, swapped, answers, *_ = play(
@@ -230,7 +230,7 @@ def test_a_client_in_another_process_counts_what_was_withheld() -> None:
 @pytest.mark.realtime
 @pytest.mark.thorough
 @pytest.mark.slow
-def test_a_client_that_answers_has_a_perfect_link_and_commands_nothing() -> None:
+def test_answering_client_has_a_perfect_link_and_commands_nothing() -> None:
     with FriReceiver(udpport=0, answer=True) as receiver:
         made, *_, answers, flags, rate, quality, latency = play(receiver, 1.5, cycle=0.01)
         assert (made, flags, receiver.counters.lost) == (150, 0, 0)
@@ -241,7 +241,7 @@ def test_a_client_that_answers_has_a_perfect_link_and_commands_nothing() -> None
         assert 0 < latency < 0.01
 
 
-def test_the_scene_shows_what_the_controller_tells(lwr: SerialRobot) -> None:
+def test_scene_shows_the_values_of_the_controller(lwr: SerialRobot) -> None:
     scene = load_scene("lwr_fri")
     scene.sources["fri"] |= {"port": 0}
     controller = FriController(lwr, quality="bad")

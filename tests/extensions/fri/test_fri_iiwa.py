@@ -78,7 +78,7 @@ def scene_of(folder: Path, version: str, more: str = "") -> Path:
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_a_message_is_decoded(version: str) -> None:
+def test_message_is_decoded(version: str) -> None:
     got = FriReceiver(version=version).decode(monitoring(7))
     assert got is not None
     np.testing.assert_array_equal(got["joint_angles"], Q)
@@ -96,7 +96,7 @@ def test_a_message_is_decoded(version: str) -> None:
 
 @pytest.mark.parametrize("version", VERSIONS)
 @pytest.mark.parametrize("sign", [1, -1])
-def test_a_declared_torque_sign_replaces_that_of_kuka(version: str, sign: int) -> None:
+def test_declared_torque_sign_replaces_that_of_kuka(version: str, sign: int) -> None:
     receiver = FriReceiver(version=version, torque_sign=sign)
     got = receiver.decode(monitoring())
     assert got is not None
@@ -107,7 +107,7 @@ def test_a_declared_torque_sign_replaces_that_of_kuka(version: str, sign: int) -
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_gravity_explains_the_torques_of_an_iiwa_that_stands(
+def test_gravity_explains_the_torques_of_an_iiwa_at_rest(
     controller: socket.socket, tmp_path: Path, version: str
 ) -> None:
     angles = np.deg2rad([0.0, 50.0, 0.0, -40.0, 0.0, 30.0, 0.0])
@@ -129,7 +129,7 @@ def test_gravity_explains_the_torques_of_an_iiwa_that_stands(
         np.testing.assert_allclose(shown, 0.0, atol=1e-9)
 
 
-def test_messages_by_hand_are_decoded_as_kuka_has_them() -> None:
+def test_handwritten_messages_are_decoded_in_kuka_conventions() -> None:
     got = FriReceiver(version="iiwa-1").decode(BY_HAND)
     assert got is not None
     assert got["joint_angles"].tolist() == [2.0] * 7
@@ -140,7 +140,7 @@ def test_messages_by_hand_are_decoded_as_kuka_has_them() -> None:
     assert got["control"] == -1
 
 
-def test_each_version_has_what_its_controllers_send() -> None:
+def test_each_version_decodes_the_fields_of_its_controllers() -> None:
     wrench = {"element": [1.0, 2.0, 3.0, 30.0, 20.0, 10.0]}  # A, B, C: about z, y, x
     message = monitoring(monitorData={"externalForce": wrench, "commandedJointPosition": None})
     one = FriReceiver(version="iiwa-1").decode(monitoring())
@@ -156,7 +156,7 @@ def test_each_version_has_what_its_controllers_send() -> None:
     np.testing.assert_array_equal(got["interpolated_angles"], Q)
 
 
-def test_a_framed_message_of_2_7_is_checked() -> None:
+def test_framed_message_of_2_7_is_checked() -> None:
     packet = framed(monitoring(9))
     receiver = FriReceiver(version="iiwa-2")
     got = receiver.decode(packet)
@@ -203,7 +203,7 @@ def test_random_bytes_are_a_packet_or_an_error(data: bytes, version: str) -> Non
 
 @settings(max_examples=examples(200))
 @given(st.data())
-def test_a_damaged_message_is_a_packet_or_an_error(data: st.DataObject) -> None:
+def test_damaged_message_is_a_packet_or_an_error(data: st.DataObject) -> None:
     message = bytearray(monitoring())
     for _ in range(data.draw(st.integers(1, 4))):
         message[data.draw(st.integers(0, len(message) - 1))] = data.draw(st.integers(0, 255))
@@ -266,7 +266,7 @@ def test_rejected_packets_are_counted_by_cause(controller: socket.socket, versio
         assert counters.last_fault.startswith("30 bytes are not an FRI message: field ")
 
 
-def test_what_the_controller_says_is_told_in_words(controller: socket.socket) -> None:
+def test_controller_state_is_described_in_words(controller: socket.socket) -> None:
     with iiwa("iiwa-1") as receiver:
         give(receiver, controller, monitoring())
         (said,) = [why for what, _, why in describe(report(receiver)) if what == "controller"]
@@ -287,7 +287,7 @@ def test_what_the_controller_says_is_told_in_words(controller: socket.socket) ->
 
 
 @pytest.mark.parametrize("version", VERSIONS)
-def test_an_iiwa_is_mirrored_recorded_and_replayed(
+def test_iiwa_is_mirrored_recorded_and_replayed(
     controller: socket.socket, tmp_path: Path, version: str
 ) -> None:
     scene, recording = load_scene(scene_of(tmp_path, version)), tmp_path / "run.mcap"
@@ -332,7 +332,7 @@ def test_an_iiwa_is_mirrored_recorded_and_replayed(
                        "  no answers are sent: answer = false"]),
     ],
 )  # fmt: skip
-def test_an_unhealthy_state_is_shown_in_the_corner(
+def test_unhealthy_state_is_shown_in_the_corner(
     controller: socket.socket, tmp_path: Path, state: int, quality: int, answer: bool,
     lines: list[str],
 ) -> None:  # fmt: skip
@@ -355,7 +355,7 @@ def test_an_unhealthy_state_is_shown_in_the_corner(
 # ---- answers
 
 
-def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> None:
+def test_receiver_without_answer_sends_nothing(controller: socket.socket) -> None:
     with iiwa("iiwa-1") as receiver:
         give(receiver, controller, *(monitoring(k) for k in range(20)))
         assert receiver.answers == 0
@@ -365,7 +365,7 @@ def test_without_answer_no_byte_leaves_the_socket(controller: socket.socket) -> 
 
 
 @pytest.mark.parametrize("is_framed", [False, True])
-def test_answers_are_headers_while_it_monitors(controller: socket.socket, is_framed: bool) -> None:
+def test_answers_to_monitoring_are_headers(controller: socket.socket, is_framed: bool) -> None:
     with iiwa("iiwa-2", answer=True) as receiver:
         for k in range(1, 4):
             message = monitoring(300 + k)
@@ -382,7 +382,7 @@ def test_answers_are_headers_while_it_monitors(controller: socket.socket, is_fra
         assert receiver.answers == 3
 
 
-def test_every_receive_multiplier_is_answered_and_no_state_that_commands() -> None:
+def test_receive_multiplier_is_respected_and_commanding_states_unanswered() -> None:
     monitor, link = MonitoringClient(), {"receiveMultiplier": 3}
     answers = [monitor.answer(monitoring(k, connectionInfo=link), 0) for k in range(7)]
     assert [k for k, answer in enumerate(answers) if answer] == [2, 5]

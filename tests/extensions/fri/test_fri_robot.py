@@ -112,7 +112,7 @@ def angles(simulation: Simulation) -> np.ndarray:
 
 
 @pytest.mark.parametrize("control", ["position", "joint_impedance"])
-def test_a_client_comes_to_command_and_moves_the_robot(folder: Path, control: str) -> None:
+def test_client_starts_commanding_and_moves_the_robot(folder: Path, control: str) -> None:
     simulation = simulated(folder, "ramp", control=control)
     found = states(simulation)
     assert found[[1, 199, 202, -1]].tolist() == [1, 1, 2, 2]
@@ -135,7 +135,7 @@ def test_torques_act_where_the_stiffness_is_taken_away(folder: Path) -> None:
     assert (commanded - model.gravity())[0] == pytest.approx(1.0, abs=0.05)
 
 
-def test_the_flange_follows_a_commanded_frame(folder: Path) -> None:
+def test_flange_follows_a_commanded_frame(folder: Path) -> None:
     simulation = simulated(folder, "flange", duration=1.0, control="cartesian_impedance")
     model = simulation.robot_model(simulation.controlled[0].robot)
     heights = []
@@ -164,14 +164,14 @@ def test_wrong_commands_end_the_command_state(
     assert isinstance(robot, FriRobot) and robot.error
 
 
-def test_flags_without_effect_are_told(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_flags_without_effect_are_reported(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "torque", duration=0.3, control="position")
     assert states(simulation)[-1] == 2
     said = "command flags 0x34 have no effect with control = 'position'"
     assert [record.message for record in caplog.records].count(f"lwr: {said}") == 1
 
 
-def test_a_client_that_is_silent_for_a_while_loses_the_command(
+def test_client_that_is_silent_for_a_while_loses_command(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation = simulated(folder, "sleeps", duration=0.8, patience=0.05)
@@ -187,24 +187,24 @@ def test_lost_answers_cost_quality(folder: Path) -> None:
     assert states(simulation).max() == 1
 
 
-def test_what_is_no_command_is_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_commands_are_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "garbage", duration=0.3)
     assert states(simulation)[-1] == 2
     assert any("packets are not commands" in record.message for record in caplog.records)
 
 
-def test_the_end_of_a_client_is_told(folder: Path) -> None:
+def test_end_of_a_client_is_reported(folder: Path) -> None:
     with pytest.raises(SimulationError, match="has ended with exit status 4"):
         simulated(folder, "ends", patience=0.2)
 
 
-def test_without_a_client_the_run_ends(folder: Path) -> None:
+def test_run_without_a_client_ends(folder: Path) -> None:
     (folder / "client.py").write_text(CLIENT)
     with pytest.raises(SimulationError, match=r"no client answers at .* within 0\.2 s"):
         simulated(folder, "lossy", command=["sleep", "10", "{port}"], first_patience=0.2)
 
 
-def test_measurements_are_those_that_our_receiver_takes(folder: Path) -> None:
+def test_measurements_are_accepted_by_our_receiver(folder: Path) -> None:
     simulation = simulated(folder, "ramp", duration=0.3)
     robot = simulation.controlled[0].controller.controller
     assert isinstance(robot, LwrFri)
@@ -219,7 +219,7 @@ def test_measurements_are_those_that_our_receiver_takes(folder: Path) -> None:
     assert values["commanded_angles"][0] > 0.005
 
 
-def test_in_real_time_the_command_is_kept(folder: Path) -> None:
+def test_command_state_holds_in_real_time(folder: Path) -> None:
     simulation = simulated(folder, "ramp", clock="real_time", cycle=0.005)
     assert states(simulation).max() == 2
 
@@ -242,7 +242,7 @@ def test_wrong_declarations_name_their_key(
     assert [problem.key for problem in caught.value.problems] == [f"controllers.lwr.{key}"]
 
 
-def test_a_robot_of_six_joints_has_no_fri() -> None:
+def test_robot_with_six_joints_is_rejected() -> None:
     model = RobotModel.of(SerialRobot.from_model("ur5e"))
     with pytest.raises(DeclarationError, match=r"FRI requires 7 joints; ur5e has 6$"):
         FriClient().make(model, 1e-3)

@@ -110,7 +110,7 @@ def angles(simulation: Simulation) -> np.ndarray:
 
 
 @pytest.mark.parametrize("version", ["iiwa-1", "iiwa-2", "iiwa-2.7"])
-def test_a_client_comes_to_command_and_moves_the_robot(folder: Path, version: str) -> None:
+def test_client_starts_commanding_and_moves_the_robot(folder: Path, version: str) -> None:
     simulation = simulated(folder, "ramp", version=version, control="position")
     found = states(simulation)
     assert found[[1, 150, 199, 205, -1]].tolist() == [1, 2, 2, 4, 4]
@@ -172,13 +172,13 @@ def test_wrong_commands_end_the_overlay(
     assert robot.error
 
 
-def test_what_is_no_command_is_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_invalid_commands_are_counted(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "garbage", duration=0.3)
     assert states(simulation)[-1] == 4
     assert any("packets are not commands" in record.message for record in caplog.records)
 
 
-def test_a_client_of_another_version_is_told(
+def test_client_of_another_version_is_reported(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation = simulated(folder, "other version", duration=0.02, patience=0.01)
@@ -188,7 +188,7 @@ def test_a_client_of_another_version_is_told(
 
 
 @pytest.mark.parametrize("version", ["iiwa-1", "iiwa-2"])
-def test_messages_are_those_that_our_receiver_takes(folder: Path, version: str) -> None:
+def test_messages_are_accepted_by_our_receiver(folder: Path, version: str) -> None:
     simulation = simulated(folder, "torque", 0.5, version=version, command_mode="torque")
     robot = simulation.controlled[0].controller.controller
     assert isinstance(robot, IiwaFri)

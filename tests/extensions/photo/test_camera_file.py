@@ -96,7 +96,7 @@ def test_distortion_that_folds_the_corners_is_reported_and_not_drawn(
     matrix = np.array([[640.0, 0, 640], [0, 640, 360], [0, 0, 1]])
     write_camera(tmp_path / "c.toml", PhotoCamera(1280, 720, matrix, np.eye(4), wide))
     by = read_camera(tmp_path / "c.toml")
-    assert "the coefficients are not valid in 5.9 % of the image, at its edges" in caplog.text
+    assert "the coefficients are invalid in 5.9 % of the image, at the edges" in caplog.text
     rays = by.undistort(np.array([[0.0, 0.0], [640, 360], [1279, 360], [640, 719]]))
     assert np.isnan(rays[0]).all() and np.isfinite(rays[1:]).all()
     # Points beyond the fold stay outside of the drawable area.
@@ -159,7 +159,7 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
          ["camera_matrix: found 8 numbers; expected 3 x 3"]),
         ("c.yaml", ROS.replace("[-0.2", "[.nan") + FRAME, ["distortion_coefficients: found "]),
         ("c.yaml", ROS.replace("-0.2, 0.05", "-0.9, 0.0") + FRAME,
-         ["distortion_coefficients: are not valid in "]),
+         ["distortion_coefficients: are invalid in "]),
         ("c.yaml", ROS + FRAME.replace("quat: [0.5,", "quat: ["),
          ["frame: 'quat' has 3 numbers; expected 4"]),
         ("c.yaml", ROS + "frame: [[1, 0, 0, 0]]\n", ["frame: found 4 numbers; expected 4 x 4"]),
@@ -168,7 +168,7 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
         ("c.toml", TOML.replace("camera_matrix", "camera_matrx"),
          ["camera_matrx: unknown key; did you mean 'camera_matrix'?"]),
         ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected pixels, 1 to 16384"]),
-        ("c.txt", TOML, ["expected a camera file that ends in .yaml, .yml, .toml"]),
+        ("c.txt", TOML, ["expected a camera file with a name that ends in .yaml, .yml, .toml"]),
     ],
 )  # fmt: skip
 def test_all_errors_in_a_camera_file_are_reported_at_once(

@@ -291,7 +291,7 @@ def files(tmp_path: Path) -> Path:
          "c.toml: image_width: found 64x40, but the image is 60x40: expected a camera file for "
          "images of that size (cropped or resized images have other intrinsics)"),
         ("-o o.mp4 --over p.png --camera-file c.toml",
-         "-o o.mp4: expected an image such as .png, because --over is a photo"),
+         "-o o.mp4: expected an image file such as .png, because --over is a photo"),
         ("-o o.mp4 --over v.mp4 --camera-file c.toml --offset 3",
          "--offset is for recordings and scenarios; the scene has no sources"),
         ("-o o.mp4 --over none.mp4 --camera-file c.toml", "none.mp4: is not a readable video"),

@@ -175,7 +175,7 @@ def test_window_shows_decor_over_the_camera_image(tmp_path: Path) -> None:
         window.until("len(clicks) == 1 and clicks[0][1] is not None")
         # The view stays that of the camera.
         window.tool("mousemove", 100, 200, "mousedown", 1, "mousemove", 200, 230, "mouseup", 1)
-        window.until("'the view is that of' in w.notice.text")
+        window.until("'the view is fixed to' in w.notice.text")
         assert window.ask(joint) == [x, y]
         assert "no command renders this image" in window.ask(
             "w.tools['copy_command'].actions()['copy']()"

@@ -105,7 +105,7 @@ def test_seeking_gives_what_playing_up_to_there_gives(bag: Path, time: float) ->
 
 
 @pytest.mark.thorough
-def test_a_robot_alone_is_led_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -> None:
+def test_robot_alone_is_moved_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -> None:
     picture = tmp_path / "seen.png"
     still = tmp_path / "still.png"
     command = ["render", "fr3", "--replay", str(bag), "--size", "160x120", "--output"]
@@ -114,7 +114,7 @@ def test_a_robot_alone_is_led_by_a_bag(bag: Path, tmp_path: Path, capsys: Any) -
     assert picture.read_bytes() != still.read_bytes()
 
 
-def test_a_bag_is_a_table_and_a_run(bag: Path, tmp_path: Path, capsys: Any) -> None:
+def test_bag_is_a_table_and_a_run(bag: Path, tmp_path: Path, capsys: Any) -> None:
     table = tmp_path / "drive.csv"
     assert run(capsys, "export", str(bag), str(table))[0] == 0
     header, *rows = table.read_text(encoding="utf-8").splitlines()
@@ -166,7 +166,7 @@ at = "arm/flange"
         assert packet.values["force"].tolist() == [[1, 2, 3]]
 
 
-def test_a_source_may_play_a_bag_by_itself(bag: Path, tmp_path: Path) -> None:
+def test_source_can_replay_a_bag(bag: Path, tmp_path: Path) -> None:
     file = tmp_path / "scene.toml"
     file.write_text(
         f"""
@@ -213,7 +213,7 @@ def test_topics_have_to_be_chosen_where_there_are_several(tmp_path: Path, capsys
         Replay(file=bag, topics={"joint_states": "/c"})
 
 
-def test_why_messages_make_no_packets_is_told(
+def test_reason_for_skipped_messages_is_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     """Also where no other message is in the recording."""
@@ -265,7 +265,7 @@ def write_chunks(path: Path, compression: CompressionType, *, chunked: bool) -> 
     ("compression", "chunked"),
     [(CompressionType.ZSTD, True), (CompressionType.NONE, True), (CompressionType.NONE, False)],
 )
-def test_what_is_whole_of_a_cut_bag_is_read(
+def test_intact_part_of_a_truncated_bag_is_read(
     compression: CompressionType, chunked: bool, cut: float, tmp_path: Path
 ) -> None:
     whole, path = tmp_path / "whole.mcap", tmp_path / "folder" / "cut_0.mcap"
@@ -288,7 +288,7 @@ def test_what_is_whole_of_a_cut_bag_is_read(
         )
 
 
-def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
+def test_damaged_chunk_of_a_truncated_bag_loses_only_itself(tmp_path: Path) -> None:
     path = tmp_path / "cut.mcap"
     data = bytearray(write_chunks(path, CompressionType.NONE, chunked=True)[:60_000])
     data[20_000] ^= 255
@@ -308,7 +308,7 @@ def test_a_damaged_chunk_of_a_cut_bag_costs_itself(tmp_path: Path) -> None:
         ("bag", "is truncated or damaged .*, so its index cannot be read; `rosbag reindex`"),
     ],
 )
-def test_of_a_bag_of_which_nothing_is_whole_it_is_said(kind: str, why: str, tmp_path: Path) -> None:
+def test_bag_without_intact_messages_is_reported(kind: str, why: str, tmp_path: Path) -> None:
     store = OLD_STORE if kind == "bag" else STORE
     bag = write_bag(tmp_path / ("a.bag" if kind == "bag" else "a"), {"/j": states(store)}, kind)
     with pytest.raises(RecordingError, match=why):
@@ -319,7 +319,7 @@ def test_of_a_bag_of_which_nothing_is_whole_it_is_said(kind: str, why: str, tmp_
 
 
 @pytest.mark.thorough
-def test_a_folder_without_metadata_is_its_only_file(tmp_path: Path, capsys: Any) -> None:
+def test_folder_without_metadata_is_read_as_its_only_file(tmp_path: Path, capsys: Any) -> None:
     for kind in ("mcap", "db3"):
         bag = write_bag(tmp_path / kind, {"/joint_states": states()}, kind)
         (bag / "metadata.yaml").unlink()
@@ -353,7 +353,9 @@ def test_parts_of_a_recording_without_metadata_are_read_in_their_order(
     assert not is_recording(bag)
 
 
-def test_messages_in_the_log_of_a_database_are_read_as_well(tmp_path: Path, capsys: Any) -> None:
+def test_messages_in_the_write_ahead_log_of_a_database_are_read(
+    tmp_path: Path, capsys: Any
+) -> None:
     folder = write_bag(tmp_path / "drive", {"/joint_states": states()[:100]}, "db3")
     (file,) = folder.glob("*.db3")
     # As a recorder that is killed: closing a database would take the log into it.
@@ -381,7 +383,7 @@ os._exit(0)
 
 
 @pytest.mark.thorough
-def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
+def test_commands_for_runs_report_the_readable_part_of_a_truncated_bag(
     tmp_path: Path, capsys: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = tmp_path / "cut.mcap"
@@ -395,7 +397,7 @@ def test_what_a_cut_bag_has_is_told_by_commands_for_runs(
     assert told.endswith(f"; {count} messages of {(count - 1) * STEP / 1e9:.1f} s can be read")
 
 
-def test_a_bag_of_ros_1_that_was_not_closed_says_what_writes_its_index(tmp_path: Path) -> None:
+def test_unclosed_ros_1_bag_suggests_reindexing(tmp_path: Path) -> None:
     bag = write_bag(tmp_path / "drive.bag", {"/joint_states": states(OLD_STORE)}, "bag")
     data = bytearray(bag.read_bytes())
     index = data.index(b"index_pos=") + len(b"index_pos=")
@@ -422,7 +424,7 @@ def test_damaged_bags_are_errors_or_end_early(bag: Path, tmp_path: Path, cut: fl
         assert recording.faults
 
 
-def test_a_bag_without_joints_says_what_it_has(tmp_path: Path) -> None:
+def test_bag_without_joints_reports_its_topics(tmp_path: Path) -> None:
     text = STORE.types["std_msgs/msg/String"]("hello")
     bag = write_bag(tmp_path / "text", {"/chatter": [(0, text)]})
     with pytest.raises(RecordingError, match=r"/chatter \(std_msgs/msg/String\)") as caught:
@@ -461,7 +463,7 @@ def test_recordings_of_runs_have_the_states_of_joints_for_ros(tmp_path: Path, ca
             assert numbers == pytest.approx(log.signals[f"lwr_{event}"][k])
 
 
-def test_a_bag_of_another_robot_says_so_when_it_is_checked(tmp_path: Path, capsys: Any) -> None:
+def test_check_reports_a_bag_of_another_robot(tmp_path: Path, capsys: Any) -> None:
     write_bag(tmp_path / "xarm", {"/xarm/joint_states": states(names=list("abcdefg"))})
     file = tmp_path / "scene.toml"
     file.write_text(
@@ -524,7 +526,7 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     assert status == 2 and "no shipped one has its joints" in told and "--scene SCENE" in told
 
 
-def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any) -> None:
+def test_robot_is_moved_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any) -> None:
     # Joints of the FR3 are called as those of the arm are, behind a prefix.
     both = described(tmp_path / "both", {"/fr3/joint_states": states()})
     for name, source in (("fr3", "fr3_joint_states"), ("ur5e", None)):
@@ -542,7 +544,7 @@ def test_a_robot_is_led_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any
     assert run(capsys, "plot", str(both), "-o", str(tmp_path / "both.pdf"))[0] == 0
 
 
-def test_meshes_that_a_described_robot_lacks_are_told_once(
+def test_missing_meshes_of_a_described_robot_are_reported_once(
     tmp_path: Path, capsys: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     path = described(tmp_path / "own")
@@ -558,7 +560,7 @@ def test_meshes_that_a_described_robot_lacks_are_told_once(
 
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", KINDS)
-def test_check_and_status_take_a_bag_as_view_does(kind: str, tmp_path: Path, capsys: Any) -> None:
+def test_check_and_status_accept_a_bag_like_view(kind: str, tmp_path: Path, capsys: Any) -> None:
     name = "drive.bag" if kind == "bag" else "drive"
     store = OLD_STORE if kind == "bag" else STORE
     path = write_bag(tmp_path / name, {"/joint_states": states(store)}, kind)
@@ -588,9 +590,7 @@ def ur_states(names: list[str], step: int = 0) -> list[tuple[int, Any]]:
     return [(k * STEP + step, joint_state(names, values + 1e-3 * k)) for k in range(COUNT)]
 
 
-def test_of_several_robots_with_these_joints_none_is_taken_unasked(
-    tmp_path: Path, capsys: Any
-) -> None:
+def test_ambiguous_robot_is_not_chosen_automatically(tmp_path: Path, capsys: Any) -> None:
     bag = write_bag(tmp_path / "ur", {"/joint_states": ur_states(UR)})
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     fits = f"{bag} does not describe its robot, and ur10e, ur5e have its joints"
@@ -634,7 +634,7 @@ def test_columns_are_called_by_joints_in_the_order_of_the_robot(
     assert status == 2 and "--scene fr3" in told and "fr3_joint1, " in told and UR[3] in told
 
 
-def test_messages_without_names_are_those_of_a_robot_that_is_named(
+def test_messages_without_joint_names_belong_to_the_named_robot(
     tmp_path: Path, capsys: Any
 ) -> None:
     messages = [(k * STEP, joint_state([], angles(k))) for k in range(COUNT)]
@@ -695,7 +695,7 @@ def test_states_of_joints_in_json_are_a_recording(
     assert run(capsys, "render", str(bag), *picture)[0] == 0
 
 
-def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path) -> None:
+def test_truncated_json_bag_is_read_up_to_its_end(tmp_path: Path) -> None:
     entries = [{"name": NAMES, "position": [k] * 7} for k in range(COUNT)]
     bag = json_bag(tmp_path / "hand.mcap", {"/state": entries})
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
@@ -706,7 +706,7 @@ def test_json_whose_end_is_missing_is_read_as_far_as_it_is_whole(tmp_path: Path)
         assert recording.sources["state"].count == len(found)
 
 
-def test_json_that_is_no_state_of_joints_is_told_as_such(tmp_path: Path) -> None:
+def test_json_without_joint_states_is_reported(tmp_path: Path) -> None:
     bag = json_bag(tmp_path / "text.mcap", {"/note": [{"text": "hello"}], "/none": []})
     with pytest.raises(RecordingError) as caught:
         open_recording(bag)

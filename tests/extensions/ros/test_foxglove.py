@@ -197,7 +197,7 @@ def test_frames_and_several_topics_are_joined() -> None:
             assert values(source) == [1.0, 2.0, 3.0]
 
 
-def test_a_server_that_comes_again_is_connected_to_again() -> None:
+def test_restarted_server_is_connected_again() -> None:
     with Peer("foxglove_peer.py", 0) as peer, source_of(peer.port) as source:
         for k in range(3):
             moved = joint_state(NAMES, [k, 2, 3])
@@ -210,7 +210,7 @@ def test_a_server_that_comes_again_is_connected_to_again() -> None:
         assert (source.counters.received, source.counters.restarts) == (3, 2)
 
 
-def test_what_is_published_otherwise_is_told() -> None:
+def test_unexpected_topics_are_reported() -> None:
     with Peer("foxglove_peer.py", 0) as peer, source_of(peer.port) as source:
         assert until(lambda: source.trouble == f"ws://127.0.0.1:{peer.port} has no topics")
         for topic in ("/left/joint_states", "/right/joint_states"):
@@ -252,7 +252,7 @@ def test_nothing_but_subscriptions_is_sent(server: Server) -> None:
     assert len(server.subscriptions) == 2
 
 
-def test_topics_that_are_withdrawn_and_come_again_are_read_again(server: Server) -> None:
+def test_withdrawn_topics_are_read_when_they_reappear(server: Server) -> None:
     with source_of(server.port) as source:
         assert until(lambda: len(server.subscriptions) == 1)
         server.send({"op": "unadvertise", "channelIds": [1, 99]})
@@ -264,7 +264,7 @@ def test_topics_that_are_withdrawn_and_come_again_are_read_again(server: Server)
         assert values(source) == [1.0, 2.0, 3.0]
 
 
-def test_messages_that_are_none_are_counted_and_survived(server: Server) -> None:
+def test_malformed_messages_are_counted(server: Server) -> None:
     with source_of(server.port) as source:
         assert until(lambda: len(server.subscriptions) == 1)
         good = joint_state(NAMES, [1, 2, 3])
@@ -290,7 +290,7 @@ def test_messages_that_are_none_are_counted_and_survived(server: Server) -> None
     ],
     ids=range(13),
 )  # fmt: skip
-def test_texts_that_are_nonsense_are_told_and_survived(
+def test_invalid_texts_are_reported(
     server: Server, nonsense: Any, caplog: pytest.LogCaptureFixture
 ) -> None:
     with source_of(server.port) as source:
@@ -304,7 +304,7 @@ def test_texts_that_are_nonsense_are_told_and_survived(
     assert len(told[0]) < 200
 
 
-def test_what_the_server_says_is_told_once(
+def test_server_messages_are_reported_once(
     server: Server, caplog: pytest.LogCaptureFixture
 ) -> None:
     with source_of(server.port) as source:
@@ -330,7 +330,7 @@ def test_what_the_server_says_is_told_once(
         (None, "not a Foxglove server: the answer is not HTTP"),
     ],
 )  # fmt: skip
-def test_who_is_no_such_server_is_told_and_tried_again(
+def test_invalid_server_is_reported_and_retried(
     answer: bytes | None, told: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.1)
@@ -365,14 +365,14 @@ def test_who_is_no_such_server_is_told_and_tried_again(
         thread.join()
 
 
-def test_a_websocket_of_something_else_is_told() -> None:
+def test_websocket_of_another_protocol_is_reported() -> None:
     with Server(subprotocols=None) as server, source_of(server.port) as source:
         assert until(lambda: server.connections > 1)
         assert until(lambda: source.trouble.endswith("not support this protocol"))
     assert server.told == []
 
 
-def test_who_goes_away_says_why(server: Server) -> None:
+def test_reason_for_a_closed_connection_is_reported(server: Server) -> None:
     with source_of(server.port) as source:
         for k in range(3):
             assert until(lambda k=k: len(server.subscriptions) == k + 1)
@@ -386,7 +386,7 @@ def test_who_goes_away_says_why(server: Server) -> None:
         assert (source.counters.received, source.counters.restarts) == (3, 2)
 
 
-def test_a_server_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+def test_receiver_waits_for_a_server_that_is_off(caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = int(free.getsockname()[1])
     with source_of(port) as source:
@@ -416,7 +416,7 @@ def test_closing_does_not_wait_for_anybody(server: Server) -> None:
     assert not [each for each in threading.enumerate() if each.name.startswith("foxglove")]
 
 
-def test_a_server_of_plain_text_is_told_where_tls_is_wanted(server: Server) -> None:
+def test_plain_text_server_is_reported_if_tls_is_expected(server: Server) -> None:
     with source_of(server.port, tls=True) as source:
         assert until(lambda: source.trouble != "")
         assert source.trouble.startswith(f"wss://127.0.0.1:{server.port}: ")
@@ -425,7 +425,7 @@ def test_a_server_of_plain_text_is_told_where_tls_is_wanted(server: Server) -> N
 
 @settings(max_examples=examples(40))
 @given(st.lists(st.one_of(st.binary(max_size=200), st.text(max_size=200)), max_size=5))
-def test_whatever_comes_the_next_message_is_read(sent: list[Any]) -> None:
+def test_next_message_is_read_after_any_bytes(sent: list[Any]) -> None:
     greeting = {"op": "advertise", "channels": [channel()]}
     with Server(greeting) as server, source_of(server.port, debug_level=0) as source:
         assert until(lambda: len(server.subscriptions) == 1)
@@ -451,7 +451,7 @@ def test_fields_are_checked(fields: dict[str, Any], key: str, reason: str) -> No
     assert_refused("foxglove", fields, key, reason)
 
 
-def test_a_robot_is_mirrored_recorded_and_replayed(server: Server, tmp_path: Path) -> None:
+def test_robot_is_mirrored_recorded_and_replayed(server: Server, tmp_path: Path) -> None:
     original = mirrored_recorded_and_replayed(
         SCENE.format(port=server.port),
         tmp_path,
@@ -462,7 +462,7 @@ def test_a_robot_is_mirrored_recorded_and_replayed(server: Server, tmp_path: Pat
     assert original.joint_names == NAMES
 
 
-def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "rosbags.typesys", None)
     messages = sys.modules["sero_mj.extensions.ros.messages"]
     foxglove_messages: Callable[[], None] = messages.type_store
@@ -471,7 +471,7 @@ def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> 
         source_of(1).open()
 
 
-def test_nothing_is_imported_until_it_is_needed() -> None:
+def test_packages_are_imported_only_when_needed() -> None:
     code = "import sys, sero_mj.extensions.ros.foxglove; print(*sorted(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

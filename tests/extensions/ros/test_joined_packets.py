@@ -63,7 +63,7 @@ class Heard(Listener):
         ),
     ],
 )
-def test_malformed_messages_are_counted_told_and_survived(message: Any, said: str) -> None:
+def test_malformed_messages_are_counted_and_reported(message: Any, said: str) -> None:
     heard = Heard()
     heard.tell(GOOD)
     heard.tell(message)
@@ -74,7 +74,7 @@ def test_malformed_messages_are_counted_told_and_survived(message: Any, said: st
     assert heard.values["joint_angles"] == [7, 8]
 
 
-def test_what_a_message_does_not_tell_is_unknown() -> None:
+def test_values_missing_in_a_message_are_unknown() -> None:
     heard = Heard()
     heard.tell(joint_state(ARM, (), (), (5, 6)))  # some drivers have nothing else
     assert heard.values["joint_angles"] == [0.5, -0.5]
@@ -87,7 +87,7 @@ def test_what_a_message_does_not_tell_is_unknown() -> None:
     assert heard.source.counters.blanked == 3
 
 
-def test_joints_without_names_are_taken_in_order_and_others_are_not() -> None:
+def test_joints_without_names_are_read_in_order_if_the_count_matches() -> None:
     heard = Heard()
     heard.tell(joint_state((), (1, 2)))
     assert heard.values["joint_angles"] == [1, 2]
@@ -104,13 +104,13 @@ def test_joints_without_names_are_taken_in_order_and_others_are_not() -> None:
         (("a", "b"), "shoulder, elbow"),
     ],
 )
-def test_names_that_differ_are_told(names: tuple[str, ...], said: str) -> None:
+def test_mismatching_names_are_reported(names: tuple[str, ...], said: str) -> None:
     heard = Heard()
     heard.tell(joint_state(names, (1, 2)))
     assert any(said in text for text in heard.said), heard.said
 
 
-def test_joints_that_no_message_has_are_told_once_others_could_have_them() -> None:
+def test_missing_joints_are_reported_once_after_a_delay() -> None:
     def said_by(messages: list[tuple[float, tuple[str, ...]]]) -> list[str]:
         said: list[str] = []
         joined = JoinedPackets([RoutedJoint(name) for name in ARM], {}, report=said.append)
@@ -137,7 +137,7 @@ def test_names_may_change_and_their_order() -> None:
 
 
 @pytest.mark.parametrize("joints", [["s", "e"], {"shoulder": "s", "elbow": "e"}])
-def test_a_list_or_a_table_says_how_joints_are_named(joints: Any) -> None:
+def test_list_or_table_maps_joint_names(joints: Any) -> None:
     heard = Heard(joints=joints)
     heard.tell(joint_state(("e", "s"), (1, 2)))
     assert heard.values["joint_angles"] == [2, 1]
@@ -161,7 +161,7 @@ def test_efforts_of_the_load_on_the_drive_get_another_sign(
     assert heard.values["torques"] == [2 * factors[0], 3 * factors[1]]
 
 
-def test_efforts_that_no_joint_can_have_are_told_once() -> None:
+def test_implausible_efforts_are_reported_once() -> None:
     heard = Heard()
     for k in range(3):
         heard.tell(joint_state(ARM, (1, 2), (), (0, 2000 + k)))
@@ -169,7 +169,7 @@ def test_efforts_that_no_joint_can_have_are_told_once() -> None:
     assert "the effort of elbow is 2000" in said and "limit is 20 Nm" in said
 
 
-def test_stamps_that_go_back_are_late() -> None:
+def test_decreasing_stamps_are_counted_as_late() -> None:
     heard = Heard()
     for stamp in (100, 200, 150, 300):
         heard.tell(joint_state(ARM, (1, 2), stamp=stamp * 10**6))
@@ -182,7 +182,7 @@ def test_stamps_that_go_back_are_late() -> None:
 
 @settings(max_examples=examples(400))
 @given(data=st.data())
-def test_any_bytes_are_taken_or_counted(data: st.DataObject) -> None:
+def test_any_bytes_are_applied_or_counted(data: st.DataObject) -> None:
     raw = bytearray(encoded(GOOD))
     for _ in range(data.draw(st.integers(0, 4))):
         raw[data.draw(st.integers(0, len(raw) - 1))] = data.draw(st.integers(0, 255))
@@ -220,7 +220,7 @@ def test_decoding_agrees_with_the_bytes_written_by_hand() -> None:
                                                        np.zeros(0), np.zeros(0)))  # fmt: skip
 
 
-def test_a_message_may_not_be_endless() -> None:
+def test_message_above_the_size_limit_is_rejected() -> None:
     with pytest.raises(MalformedMessage, match=f"expected at most {MAX_BYTES}"):
         decode(bytes(MAX_BYTES + 1), JOINT_STATE)
 
@@ -235,7 +235,7 @@ def test_a_message_may_not_be_endless() -> None:
         ([], ""),
     ],
 )
-def test_one_prefix_may_stand_before_all_names(names: list[str], prefix: str) -> None:
+def test_common_prefix_of_joint_names_is_found(names: list[str], prefix: str) -> None:
     assert prefix_before(["joint1", "joint2"], names) == prefix
 
 

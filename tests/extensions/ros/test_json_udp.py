@@ -75,7 +75,7 @@ def test_joints_are_matched_by_their_names(hand: JsonUdp) -> None:
     ],
     ids=lambda each: str(each)[:24],
 )
-def test_what_is_wrong_is_counted_and_told(hand: JsonUdp, message: Any, why: str) -> None:
+def test_malformed_packets_are_counted_and_reported(hand: JsonUdp, message: Any, why: str) -> None:
     give(hand, message, {"name": NAMES[:1], "position": [1]})
     assert (hand.counters.received, hand.counters.wrong_size) == (2, 1)
     assert hand.counters.last_fault.startswith(why)
@@ -83,7 +83,7 @@ def test_what_is_wrong_is_counted_and_told(hand: JsonUdp, message: Any, why: str
 
 
 @pytest.mark.parametrize("velocity", [0.0, 2.5])
-def test_a_packet_is_sent_as_the_message_that_makes_it(velocity: float) -> None:
+def test_packet_is_sent_as_its_original_message(velocity: float) -> None:
     constants = {"effort_unit": "A", "torque_constants": [2.0, 4.0, 5.0], "torque_sign": -1}
     with JsonUdp(port=0, debug_level=0, joints=NAMES, **constants) as source:
         packet = source.layout.encode({
@@ -101,7 +101,7 @@ def test_a_packet_is_sent_as_the_message_that_makes_it(velocity: float) -> None:
         np.testing.assert_equal(values["torques"], [10, np.nan, 30])
 
 
-def test_it_has_no_topics_and_needs_joints() -> None:
+def test_json_udp_has_no_topics_and_requires_joints() -> None:
     with raises_with(key="commands", reason="unknown key"):
         JsonUdp(port=0, commands="/commands")
     with pytest.raises(SourceError, match="joints: no route"):

@@ -104,7 +104,7 @@ def test_transforms_of_links_tell_joints_and_base(sent: Any, robot: Path) -> Non
     assert said == []
 
 
-def test_transforms_that_are_unknown_yet_leave_the_robot_as_declared(robot: Path) -> None:
+def test_unknown_transforms_leave_the_robot_as_declared(robot: Path) -> None:
     routes = {"joint_angles": "joint_angles", "base_frame": "base_frame"}
     listener, _ = heard(robot, routes, joint_states="tf", odometry="tf", root="map")
     home = load_scene(robot).robots["arm"].home[:3]
@@ -120,7 +120,7 @@ def test_transforms_that_are_unknown_yet_leave_the_robot_as_declared(robot: Path
     np.testing.assert_allclose(latest(listener)["base_frame"][0], platform(1.0) @ platform(0.5))
 
 
-def test_transforms_of_another_robot_and_circles_are_told_and_survived(robot: Path) -> None:
+def test_transforms_of_another_robot_and_cycles_are_reported(robot: Path) -> None:
     listener, said = heard(robot, {"joint_angles": "joint_angles"}, joint_states="tf")
     circle = [("a", "b", np.eye(4)), ("b", "a", np.eye(4)), ("a", "base_link", np.eye(4))]
     listener.take([(FRAMES, encoded(transforms(circle)), b"")])
@@ -130,7 +130,7 @@ def test_transforms_of_another_robot_and_circles_are_told_and_survived(robot: Pa
     assert np.isfinite(latest(listener)["joint_angles"]).all()
 
 
-def test_a_robot_without_frames_of_links_is_not_moved_by_transforms(tmp_path: Path) -> None:
+def test_robot_without_link_frames_is_not_moved_by_transforms(tmp_path: Path) -> None:
     scene = tmp_path / "s.toml"
     scene.write_text('[robots.arm]\nmodel = "lwr"')
     _, said = heard(scene, {"joint_angles": "joint_angles"}, joint_states="tf")
@@ -198,7 +198,7 @@ def bag_of(folder: Path, *kinds: str) -> Path:
         (("odom",), False),
     ],
 )
-def test_a_bag_moves_a_mobile_robot(
+def test_bag_moves_a_mobile_robot(
     kinds: tuple[str, ...], moves_joints: bool, robot: Path, tmp_path: Path
 ) -> None:
     path, scene = bag_of(tmp_path, *kinds), load_scene(robot)
@@ -217,9 +217,7 @@ def test_a_bag_moves_a_mobile_robot(
         np.testing.assert_allclose(found[link], platform(t) @ T, atol=1e-9, err_msg=link)
 
 
-def test_the_base_of_a_fixed_robot_stays_where_the_scene_has_it(
-    robot: Path, tmp_path: Path
-) -> None:
+def test_base_of_a_fixed_robot_is_unchanged(robot: Path, tmp_path: Path) -> None:
     scene = load_scene(robot, {"arm.base_frame": {"xyz": [0, 0, 1]}})
     replay_instead(scene, bag_of(tmp_path, "joint_states", "tf", "tf_static"), None)
     assert "arm.base_frame" not in scene.routes
@@ -234,7 +232,7 @@ PLATFORM = """<mujoco><worldbody><body name="platform">
 
 @pytest.mark.parametrize("driven", ["", '<position joint="px"/>'])
 @pytest.mark.parametrize("kinds", [("tf",), ("joint_states", "odom"), ("joint_states", "tf")])
-def test_a_platform_of_two_slides_and_a_hinge_is_where_its_link_is(
+def test_platform_of_two_prismatic_and_a_revolute_joint_is_at_its_link(
     driven: str, kinds: tuple[str, ...], tmp_path: Path
 ) -> None:
     """Whether its joints are the robot's, or its base is planar."""
@@ -263,7 +261,7 @@ def test_a_platform_of_two_slides_and_a_hinge_is_where_its_link_is(
 
 
 @pytest.mark.parametrize(("kind", "is_described"), [("tf", False), ("odom", False), ("tf", True)])
-def test_the_table_of_a_bag_without_joint_states_is_that_of_its_robot(
+def test_table_of_a_bag_without_joint_states_has_the_joints_of_its_robot(
     kind: str, is_described: bool, robot: Path, tmp_path: Path, capsys: Any
 ) -> None:
     at = [0.05 * k for k in range(COUNT)]

@@ -121,7 +121,7 @@ def test_values_arrive_by_the_names_of_joints(peer: Peer) -> None:
 @pytest.mark.parametrize(
     ("late", "shown"), [(2.5, "clock is 2.5 s slow"), (-2.5, "clock is 2.5 s fast")]
 )
-def test_a_clock_that_differs_is_found_and_shown(peer: Peer, late: float, shown: str) -> None:
+def test_clock_offset_is_detected_and_shown(peer: Peer, late: float, shown: str) -> None:
     with source_of(joint_states="/clock") as source:
         peer.say(match="/clock", kind="JointState")
 
@@ -139,7 +139,7 @@ def test_a_clock_that_differs_is_found_and_shown(peer: Peer, late: float, shown:
         assert re.search(r"25\d\d\.\d ms behind" if late > 0 else r"24\d\d\.\d ms ahead", row), row
 
 
-def test_stamps_that_are_not_of_a_clock_are_not_compared(peer: Peer) -> None:
+def test_stamps_without_a_common_clock_are_not_compared(peer: Peer) -> None:
     with source_of(joint_states="/simulated") as source:
         peer.say(match="/simulated", kind="JointState")
 
@@ -192,7 +192,7 @@ def test_forces_commands_and_frames_come_with_the_joints(peer: Peer) -> None:
         assert values["tf_tool"][0] == pytest.approx(np.array(expected, float), abs=1e-9)
 
 
-def test_an_arm_and_its_gripper_may_publish_apart(peer: Peer) -> None:
+def test_arm_and_gripper_can_publish_separately(peer: Peer) -> None:
     with source_of(("shoulder", "elbow", "finger"), joint_states="/apart") as source:
         peer.say(match="/apart", kind="JointState")
         peer.say(match="/apart", kind="JointState", **{"as": "gripper"})
@@ -245,7 +245,7 @@ def test_two_publishers_of_the_same_joints_are_counted(peer: Peer) -> None:
         ("/here", "the publisher is not sending messages"),
     ],
 )
-def test_it_is_told_why_nothing_comes(peer: Peer, topic: str, trouble: str) -> None:
+def test_reason_for_missing_data_is_reported(peer: Peer, topic: str, trouble: str) -> None:
     with source_of(joint_states="/here") as other:
         peer.say(match="/here", kind="JointState")
         other.close()
@@ -254,25 +254,25 @@ def test_it_is_told_why_nothing_comes(peer: Peer, topic: str, trouble: str) -> N
         assert until(lambda: re.search(trouble, source.trouble), 8.0), source.trouble
 
 
-def test_a_domain_without_publishers_is_told() -> None:
+def test_domain_without_publishers_is_reported() -> None:
     with source_of(domain=231) as source:
         assert until(lambda: source.trouble, 8.0)
         assert "no publisher in domain 231 of this machine" in source.trouble
         assert "host = 'subnet'" in source.trouble
 
 
-def test_a_domain_has_one_host_in_a_process(peer: Peer) -> None:
+def test_domain_has_one_host_per_process(peer: Peer) -> None:
     with source_of(), pytest.raises(SourceError, match="is open with host 'localhost'"):
         source_of(host="192.0.2.1").open()
 
 
-def test_reliable_readers_are_told_of_publishers_that_are_not(peer: Peer) -> None:
+def test_incompatible_reliability_is_reported(peer: Peer) -> None:
     peer.say(write="/loose", kind="JointState", best_effort=True, message={})
     with source_of(joint_states="/loose", reliability="reliable") as source:
         assert until(lambda: "best_effort" in source.trouble, 8.0), source.trouble
 
 
-def test_a_robot_is_mirrored_recorded_and_played_again(
+def test_robot_is_mirrored_recorded_and_replayed(
     peer: Peer, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "scene.toml"
@@ -322,9 +322,7 @@ def test_a_robot_is_mirrored_recorded_and_played_again(
     assert [float(x) for x in rows[-1].split(",")][2:4] == [1.0, 19 / 20]
 
 
-def test_whatever_robot_a_network_has_is_shown(
-    peer: Peer, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_any_robot_on_the_network_is_shown(peer: Peer, capsys: pytest.CaptureFixture[str]) -> None:
     peer.say(write="/found/robot_description", kind="String", message={"data": URDF})
     peer.say(write="/found/joint_states", kind="JointState", message={"name": list(ARM)})
     with source_of(joint_states="/found/joint_states") as source:
@@ -376,7 +374,7 @@ def test_whatever_robot_a_network_has_is_shown(
         1,
     ),
 )
-def test_descriptions_that_are_none_are_told(
+def test_invalid_descriptions_are_reported(
     peer: Peer, text: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     peer.say(write="/wrong/robot_description", kind="String", message={"data": text})
@@ -397,14 +395,14 @@ def test_descriptions_that_are_none_are_told(
         ("ros2://:230", "ROS 2 domain 230 on localhost has no publisher"),
     ],
 )
-def test_addresses_of_nothing_are_told(
+def test_invalid_addresses_are_rejected(
     address: str, said: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     status, _, error = run(capsys, "render", address, "--output", "never.png")
     assert (status, said in error) == (2, True), error
 
 
-def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
+def test_address_sets_joint_names_and_effort_units() -> None:
     address = "ros2://:3/arm?joints=a,b&effort_unit=A&torque_constants=11.5,9&torque_sign=-1"
     fields = Address.parse(address).source
     source = Ros2(name="it", **{key: fields[key] for key in fields.keys() - {"kind"}})
@@ -413,7 +411,7 @@ def test_an_address_says_how_joints_are_named_and_what_an_ampere_is() -> None:
     assert source.torque_sign == -1
 
 
-def test_a_list_of_nothing_says_where_else_to_look(capsys: pytest.CaptureFixture[str]) -> None:
+def test_empty_topic_list_suggests_another_host(capsys: pytest.CaptureFixture[str]) -> None:
     status, out, _ = run(capsys, "status", "ros2://:229", "--topics", "--duration", "0.2")
     assert (status, "ros2://subnet" in out) == (1, True), out
 
@@ -441,7 +439,7 @@ def test_wrong_declarations_name_their_key(fields: dict[str, Any], key: str) -> 
     assert [problem.key for problem in caught.value.problems] == [key]
 
 
-def test_it_is_told_that_no_route_says_which_joints_are_wanted() -> None:
+def test_missing_routes_of_joints_are_reported() -> None:
     with pytest.raises(SourceError, match="joints: no route"):
         Ros2(domain=DOMAIN).open()
 
@@ -469,7 +467,7 @@ def kilted_driver(python: Path, domain: int) -> Iterator[None]:
             driver.kill()
 
 
-def test_a_driver_that_is_killed_is_replaced_by_another_one(
+def test_killed_driver_is_replaced_by_another_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(dds, "_CHECK_INTERVAL", 0.05)
@@ -494,7 +492,7 @@ def test_a_driver_that_is_killed_is_replaced_by_another_one(
 
 @pytest.mark.thorough
 @pytest.mark.timeout(400)
-def test_a_driver_of_ros_2_kilted_is_seen_over_fast_dds(pytestconfig: pytest.Config) -> None:
+def test_driver_of_ros_2_kilted_is_received_over_fast_dds(pytestconfig: pytest.Config) -> None:
     domain = DOMAIN - 95  # of its own
     folder = Path(pytestconfig.rootpath) / ".peers" / f"rclpy{sys.version_info[1]}"
     with rclpy_environment(folder) as python, ExitStack() as stack:  # made once, for all workers

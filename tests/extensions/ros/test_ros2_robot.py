@@ -137,7 +137,7 @@ def simulated(folder: Path, mode: str, duration: float = 0.1, **settings: Any) -
     return simulation
 
 
-def test_a_node_holds_the_robot_in_lockstep(folder: Path) -> None:
+def test_node_holds_the_robot_in_lockstep(folder: Path) -> None:
     simulation = simulated(folder, "clock")
     signals = simulation.log.signals
     assert not signals["lwr_command_age"].any()
@@ -174,28 +174,26 @@ def test_positions_go_to_springs_of_the_robot(folder: Path) -> None:
         ("silent", "to step 32 within 0.2 s"),
     ],
 )
-def test_commands_that_are_none_are_not_applied(folder: Path, mode: str, said: str) -> None:
+def test_invalid_commands_are_not_applied(folder: Path, mode: str, said: str) -> None:
     settings = {"patience": 0.2, "first_patience": 2.0 if mode == "short" else 10.0}
     with pytest.raises(SimulationError, match=f"/forward_effort_controller/commands {said}"):
         simulated(folder, mode, **settings)
 
 
 @pytest.mark.thorough
-def test_the_run_may_go_on_without_commands(folder: Path) -> None:
+def test_run_can_continue_without_commands(folder: Path) -> None:
     settings = {"patience": 0.1, "on_silence": "hold"}
     ages = simulated(folder, "silent", **settings).log.signals["lwr_command_age"].ravel()
     assert ages[[31, 32, 40]] == pytest.approx([0.0, 0.001, 0.009])
 
 
-def test_in_real_time_commands_come_within_their_step(folder: Path) -> None:
+def test_real_time_commands_arrive_within_their_step(folder: Path) -> None:
     ages = simulated(folder, "right", duration=0.3, clock="real_time").log.signals
     assert ages["lwr_command_age"][1:].min() == 0.0  # most, on a machine that is not busy
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "real_time"])
-def test_a_trajectory_is_followed(
-    folder: Path, mode: str, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_trajectory_is_followed(folder: Path, mode: str, caplog: pytest.LogCaptureFixture) -> None:
     settings = {"interface": "trajectory", "stiffness": 4000.0, "damping": 60.0, "clock": mode}
     signals = simulated(folder, "trajectory", duration=0.15, **settings).log.signals
     assert "joint_names: A6" in caplog.text
@@ -229,7 +227,7 @@ REST = np.zeros((2, 2))
 
 
 @pytest.mark.parametrize("keys", [1, 2, 3])
-def test_between_points_it_is_the_polynomial_of_their_derivatives(keys: int) -> None:
+def test_trajectory_between_points_is_the_polynomial_of_their_derivatives(keys: int) -> None:
     values = np.random.default_rng(keys).normal(size=(3, keys, 2))
     names = ("positions", "velocities", "accelerations")
     points = [
@@ -248,7 +246,7 @@ def test_between_points_it_is_the_polynomial_of_their_derivatives(keys: int) -> 
     assert not motion.at(9.0)[1].any()
 
 
-def test_a_stamp_says_when_it_begins_and_what_is_past_is_left_out() -> None:
+def test_stamp_sets_the_start_and_past_points_are_skipped() -> None:
     points = [point(t, positions=[t, -t], effort=[1.0, 2.0]) for t in (1.0, 2.0, 3.0)]
     motion = JointTrajectory(trajectory(*points, stamp=10.0), ["a", "b"], 11.5, REST)
     assert motion.at(11.75)[0] == pytest.approx([1.0, -1.0])  # from the entry to the second point
@@ -273,7 +271,7 @@ def test_a_stamp_says_when_it_begins_and_what_is_past_is_left_out() -> None:
         (trajectory(point(1, positions=[0, 0]), stamp=2.0), "header.stamp"),
     ],
 )
-def test_trajectories_that_are_none_are_refused(message: Any, key: str) -> None:
+def test_invalid_trajectories_are_rejected(message: Any, key: str) -> None:
     with pytest.raises(MalformedMessage, match=f"^{re.escape(key)}: "):
         JointTrajectory(message, ["a", "b"], 9.0, REST)
 

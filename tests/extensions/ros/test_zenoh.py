@@ -100,7 +100,7 @@ def test_values_come_by_the_names_of_joints(mode: str) -> None:
         assert source.about == f"ROS 2 /joint_states, domain 0, zenoh at 127.0.0.1:{peer.port}"
 
 
-def test_messages_that_are_none_are_counted_and_survived(peer: Peer) -> None:
+def test_malformed_messages_are_counted(peer: Peer) -> None:
     with source_of(peer.port) as source:
         good = joint_state(NAMES, [1, 2, 3])
         bad = [b"", b"\0", good[:40], good[:-8], b"\xff" * source.size]
@@ -110,7 +110,7 @@ def test_messages_that_are_none_are_counted_and_survived(peer: Peer) -> None:
         assert values(source) == [1.0, 2.0, 3.0]
 
 
-def test_publishers_are_told_apart_by_what_is_attached(peer: Peer) -> None:
+def test_publishers_are_distinguished_by_their_attachment(peer: Peer) -> None:
     message = joint_state(NAMES, [1, 2, 3], stamp=0.0)
     with source_of(peer.port) as source:
         give(source, peer, message, message, gid=b"")
@@ -122,7 +122,7 @@ def test_publishers_are_told_apart_by_what_is_attached(peer: Peer) -> None:
         assert source.counters.senders == 2
 
 
-def test_what_was_published_before_is_read_of_those_who_keep_it(peer: Peer) -> None:
+def test_messages_stored_by_publishers_are_read(peer: Peer) -> None:
     kind = "tf2_msgs/msg/TFMessage"
     frames = transform("base", "tool", [0.5, 0.25, 1.0])
     peer.do(topic="/tf_static", kind=kind, kept=True, data=frames)
@@ -135,7 +135,7 @@ def test_what_was_published_before_is_read_of_those_who_keep_it(peer: Peer) -> N
         np.testing.assert_array_equal(packet.values["tf_tool"].reshape(4, 4), expected)
 
 
-def test_the_domain_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch, peer: Peer) -> None:
+def test_domain_defaults_to_the_environment(monkeypatch: pytest.MonkeyPatch, peer: Peer) -> None:
     monkeypatch.setenv("ROS_DOMAIN_ID", "7")
     with source_of(peer.port, domain=None) as source:
         assert "domain 7" in source.about
@@ -149,7 +149,7 @@ def test_the_domain_is_that_of_the_environment(monkeypatch: pytest.MonkeyPatch, 
 # ---- what goes wrong
 
 
-def test_what_is_published_otherwise_is_told(peer: Peer) -> None:
+def test_unexpected_topics_are_reported(peer: Peer) -> None:
     with source_of(peer.port) as source:
         assert until(lambda: source.trouble == "no publisher in domain 0")
         for topic in ("/left/joint_states", "/right/joint_states"):
@@ -170,7 +170,7 @@ def test_what_is_published_otherwise_is_told(peer: Peer) -> None:
 
 
 @pytest.mark.thorough
-def test_a_router_that_comes_again_is_connected_to_again(
+def test_restarted_router_is_connected_again(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     port = free_port()
@@ -186,7 +186,7 @@ def test_a_router_that_comes_again_is_connected_to_again(
     assert told == [f"source 'zenoh': {gone}; trying again"]
 
 
-def test_a_router_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+def test_receiver_waits_for_a_router_that_is_off(caplog: pytest.LogCaptureFixture) -> None:
     port = free_port()
     with source_of(port) as source:
         assert until(lambda: source.trouble == f"no zenoh router at 127.0.0.1:{port}")
@@ -204,7 +204,7 @@ def test_a_router_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) ->
         assert until(lambda: source.trouble == "no zenoh router at a/b?c:7447")
 
 
-def test_who_is_no_router_is_told_and_closing_does_not_wait(monkeypatch: Any) -> None:
+def test_invalid_router_is_reported_and_closing_does_not_wait(monkeypatch: Any) -> None:
     monkeypatch.undo()  # with the pauses that users have
     with socket.create_server(("127.0.0.1", 0)) as silent:  # accepts and says nothing
         source = source_of(silent.getsockname()[1])
@@ -219,7 +219,7 @@ def test_who_is_no_router_is_told_and_closing_does_not_wait(monkeypatch: Any) ->
     assert not [each for each in threading.enumerate() if each.name.startswith("zenoh ")]
 
 
-def test_a_peer_that_talks_nonsense_is_left() -> None:
+def test_invalid_peer_is_disconnected() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listening:
         port = listening.getsockname()[1]
         listening.settimeout(5.0)
@@ -232,7 +232,7 @@ def test_a_peer_that_talks_nonsense_is_left() -> None:
             assert until(lambda: source.trouble == f"no zenoh router at 127.0.0.1:{port}")
 
 
-def test_a_topic_that_no_key_can_have_is_told(peer: Peer) -> None:
+def test_invalid_topic_is_reported(peer: Peer) -> None:
     with source_of(peer.port, joint_states="/a//b") as source:
         assert until(lambda: source.trouble.startswith("zenoh error: Invalid Key Expr"))
         begin = time.monotonic()
@@ -255,7 +255,7 @@ def test_fields_are_checked(fields: dict[str, Any], key: str, reason: str) -> No
     assert_refused("zenoh", fields, key, reason)
 
 
-def test_a_robot_is_mirrored_recorded_and_replayed(peer: Peer, tmp_path: Path) -> None:
+def test_robot_is_mirrored_recorded_and_replayed(peer: Peer, tmp_path: Path) -> None:
     original = mirrored_recorded_and_replayed(
         SCENE.format(port=peer.port),
         tmp_path,
@@ -266,13 +266,13 @@ def test_a_robot_is_mirrored_recorded_and_replayed(peer: Peer, tmp_path: Path) -
     assert original.joint_names == NAMES
 
 
-def test_a_package_that_is_missing_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_package_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "zenoh", None)
     with pytest.raises(SourceError, match=r"zenoh.*pip install 'sero-mj\[zenoh\]'"):
         source_of(1).open()
 
 
-def test_nothing_is_imported_until_it_is_needed() -> None:
+def test_packages_are_imported_only_when_needed() -> None:
     code = "import sys, sero_mj.extensions.ros.zenoh; print(*sorted(sys.modules))"
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT

@@ -135,7 +135,7 @@ def test_every_variable_is_in_its_event(server: RtdeServer) -> None:
 @pytest.mark.parametrize(
     ("major", "asked", "rate"), [(5, 0, 500), (3, 0, 125), (3, 250, 125), (10, 50, 50)]
 )
-def test_the_rate_is_what_the_controller_can_do(major: int, asked: float, rate: float) -> None:
+def test_rate_is_limited_by_the_controller_version(major: int, asked: float, rate: float) -> None:
     with (
         RtdeServer(version=(major, 1, 0, 0)) as server,
         receiver_of(server, frequency=float(asked)) as receiver,
@@ -146,7 +146,7 @@ def test_the_rate_is_what_the_controller_can_do(major: int, asked: float, rate: 
         assert receiver.about.endswith(f", {rate} Hz")
 
 
-def test_a_controller_without_torques_shows_the_commanded_ones(
+def test_controller_without_torques_shows_the_commanded_ones(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     told = "torques are commanded, not measured"
@@ -170,7 +170,9 @@ def test_a_controller_without_torques_shows_the_commanded_ones(
     ]
 
 
-def test_what_the_controller_lacks_is_told_and_is_no_data(caplog: pytest.LogCaptureFixture) -> None:
+def test_missing_variables_are_reported_and_count_as_no_data(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     types = {**OLD, "actual_current": "VECTOR6INT32", "actual_TCP_force": "IN_USE"}
     del types["target_moment"], types["safety_mode"]
     with RtdeServer(types=types) as server, receiver_of(server) as receiver:
@@ -194,7 +196,7 @@ def test_what_the_controller_lacks_is_told_and_is_no_data(caplog: pytest.LogCapt
         assert f"source 'rtde': {text}" in caplog.messages
 
 
-def test_packages_that_the_controller_left_out_are_lost(server: RtdeServer) -> None:
+def test_packages_omitted_by_the_controller_are_lost(server: RtdeServer) -> None:
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         times = [1.0, 1.002, 1.004, 1.010, 1.0115, 1.0145, 1.016]
@@ -300,7 +302,7 @@ def test_texts_are_logged_once(server: RtdeServer, caplog: pytest.LogCaptureFixt
     ]  # fmt: skip
 
 
-def test_data_packages_that_were_not_agreed_are_counted(server: RtdeServer) -> None:
+def test_unexpected_data_packages_are_counted(server: RtdeServer) -> None:
     with receiver_of(server) as receiver:
         assert server.started.wait(5.0)
         good = server.package(actual_q=SIX)
@@ -314,9 +316,7 @@ def test_data_packages_that_were_not_agreed_are_counted(server: RtdeServer) -> N
         assert receiver.counters.not_finite == 1
 
 
-def test_a_stalled_peer_is_disconnected(
-    server: RtdeServer, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_stalled_peer_is_disconnected(server: RtdeServer, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with receiver_of(server) as receiver:
         server.answers["v"] = b""
@@ -326,14 +326,14 @@ def test_a_stalled_peer_is_disconnected(
         assert receiver.counters.received == 0
 
 
-def test_a_peer_that_closes_at_once_is_told(server: RtdeServer) -> None:
+def test_peer_that_closes_at_once_is_reported(server: RtdeServer) -> None:
     server.answers["V"] = lambda _: server.drop() or b""
     with receiver_of(server) as receiver:
         told = f"127.0.0.1:{server.port}: the peer closed the connection"
         assert until(lambda: receiver.trouble == told and server.connections > 2)
 
 
-def test_who_goes_away_is_connected_to_again(server: RtdeServer) -> None:
+def test_peer_that_disconnects_is_connected_again(server: RtdeServer) -> None:
     with receiver_of(server) as receiver:
         for k in range(3):
             assert until(lambda k=k: server.connections == k + 1) and server.started.wait(5.0)
@@ -344,7 +344,7 @@ def test_who_goes_away_is_connected_to_again(server: RtdeServer) -> None:
         assert (receiver.counters.received, receiver.counters.lost) == (6, 0)
 
 
-def test_a_controller_that_is_off_is_waited_for(caplog: pytest.LogCaptureFixture) -> None:
+def test_receiver_waits_for_a_controller_that_is_off(caplog: pytest.LogCaptureFixture) -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = int(free.getsockname()[1])
     with RtdeReceiver(host="127.0.0.1", port=port) as receiver:
@@ -415,7 +415,7 @@ def test_fields_are_checked(fields: dict[str, Any], key: str, reason: str) -> No
     assert problem.message.startswith(reason)
 
 
-def test_a_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
+def test_robot_is_mirrored_recorded_and_replayed(tmp_path: Path) -> None:
     file, recording = tmp_path / "ur.toml", tmp_path / "ur.mcap"
     with RtdeServer(types=OLD) as server:
         file.write_text(SCENE.format(port=server.port))
@@ -461,7 +461,7 @@ def check(mirror: Mirror, target: list[float]) -> None:
     np.testing.assert_array_equal(data.userdata[world.slots["target.joint_angles"]], target)
 
 
-def test_status_tells_what_the_controller_says(tmp_path: Path, capsys: Any) -> None:
+def test_status_reports_the_state_of_the_controller(tmp_path: Path, capsys: Any) -> None:
     def answer(_: bytes) -> bytes:
         return message("S", b"\1") + server.package(robot_mode=5)
 
@@ -483,7 +483,7 @@ def test_only_requests_are_sent() -> None:
     assert {kind for kind in "IUP" if f"ord('{kind}')" in text} == set()
 
 
-def test_the_structure_is_that_of_the_variables() -> None:
+def test_structure_equals_that_of_the_variables() -> None:
     assert RtdeReceiver(host="a").structure == STRUCTURE
     sizes = {"DOUBLE": 8, "VECTOR6D": 48, "INT32": 4}
     assert RtdeReceiver(host="a").size == sum(sizes[kind] for _, kind, _ in VARIABLES) + 5

@@ -241,7 +241,7 @@ def rows_of(folder: Path) -> np.ndarray:
         ("servo", {"interface": "ur_rtde"}),
     ],
 )
-def test_a_client_moves_the_robot_and_reads_where_it_is(
+def test_client_moves_the_robot_and_reads_its_position(
     folder: Path, mode: str, settings: dict[str, Any]
 ) -> None:
     simulation = simulated(folder, mode, **settings)
@@ -256,7 +256,7 @@ def test_a_client_moves_the_robot_and_reads_where_it_is(
     np.testing.assert_array_equal(logged(again, "joint_angles"), logged(simulation, "joint_angles"))
 
 
-def test_what_a_client_reads_is_what_the_log_has(folder: Path) -> None:
+def test_client_reads_the_logged_values(folder: Path) -> None:
     more = '[disturbances.push]\nkind = "force"\nat = "ur/flange"\nforce = [0, 0, -20]\n'
     more += "begin = 0.2\nend = 1.0\n"
     simulation = simulated(folder, "ramp", 0.6, more, torque_constants=10.0)
@@ -306,7 +306,7 @@ def test_torques_come_on_top_of_gravity(folder: Path) -> None:
         ("garbage", "sent what is no message of RTDE: 18245 bytes of type 84"),
     ],
 )
-def test_wrong_commands_are_counted_told_once_and_leave_the_robot(
+def test_invalid_commands_are_counted_reported_once_and_ignored(
     folder: Path, mode: str, said: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation = made(folder, mode)
@@ -322,7 +322,7 @@ def test_wrong_commands_are_counted_told_once_and_leave_the_robot(
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
 
 
-def test_a_client_that_sleeps_is_silent_until_it_answers_again(
+def test_sleeping_client_is_silent_until_it_answers_again(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation = simulated(folder, "sleeps", patience=0.1)
@@ -340,13 +340,13 @@ def test_a_client_that_sleeps_is_silent_until_it_answers_again(
 
 
 @pytest.mark.thorough
-def test_torques_of_a_client_that_is_silent_end(folder: Path) -> None:
+def test_torques_of_a_silent_client_end(folder: Path) -> None:
     simulation = simulated(folder, "mute", 0.3, patience=0.05, interface="torque")
     assert logged(simulation, "rtde_state").ravel()[-1] == SILENT
     assert np.abs(logged(simulation, "joint_velocities")[-1]).max() < 1e-3
 
 
-def test_in_real_time_a_silent_client_is_told(
+def test_silent_client_is_reported_in_real_time(
     folder: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     simulation = simulated(folder, "mute", 0.6, clock="real_time", patience=0.1)
@@ -356,7 +356,7 @@ def test_in_real_time_a_silent_client_is_told(
     assert np.abs(logged(simulation, "joint_angles")[-1] - HOME).max() < 5e-3
 
 
-def test_a_client_may_connect_again(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_client_can_reconnect(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
     simulation = simulated(folder, "reconnect")
     assert caplog.text.count("the commanding client left at") == 1
     assert logged(simulation, "rtde_state").ravel()[-1] == COMMANDED
@@ -364,7 +364,7 @@ def test_a_client_may_connect_again(folder: Path, caplog: pytest.LogCaptureFixtu
     assert angles[-1] > angles[150] > 0.03
 
 
-def test_a_program_that_is_done_leaves_the_robot_where_it_is(folder: Path) -> None:
+def test_robot_holds_its_position_after_the_program_has_ended(folder: Path) -> None:
     simulation = simulated(folder, "ends", 1.0)
     assert logged(simulation, "rtde_state").ravel()[-1] == NOBODY
     angles = logged(simulation, "joint_angles")[:, 0]
@@ -372,12 +372,12 @@ def test_a_program_that_is_done_leaves_the_robot_where_it_is(folder: Path) -> No
     assert 0.04 < angles[-1] < 0.09
 
 
-def test_a_program_that_fails_ends_the_run(folder: Path) -> None:
+def test_failing_program_ends_the_run(folder: Path) -> None:
     with pytest.raises(SimulationError, match=r"exit status 1; its last lines: no more$"):
         simulated(folder, "fails")
 
 
-def test_inputs_are_of_one_client_and_others_may_read(folder: Path) -> None:
+def test_inputs_belong_to_one_client_and_others_can_read(folder: Path) -> None:
     simulation = simulated(folder, "bits")
     told = json.loads((folder / "told.json").read_text())
     assert told[0] == "\0DOUBLE,UINT64,NOT_FOUND,VECTOR6D"
@@ -491,14 +491,14 @@ def test_wrong_declarations_name_their_key(
     assert [problem.key for problem in caught.value.problems] == [f"controllers.ur.{key}"]
 
 
-def test_a_robot_of_seven_joints_has_no_rtde() -> None:
+def test_robot_with_seven_joints_is_rejected() -> None:
     model = RobotModel.of(SerialRobot.from_model("lwr"))
     with pytest.raises(DeclarationError, match=r"RTDE requires 6 joints; lwr has 7$"):
         RtdeClient().make(model, 1e-3)
 
 
 @pytest.mark.thorough
-def test_a_port_in_use_and_a_client_that_never_comes_are_told(folder: Path) -> None:
+def test_port_in_use_and_missing_client_are_reported(folder: Path) -> None:
     with (
         socket.create_server(("127.0.0.1", 0)) as taken,
         pytest.raises(SimulationError, match=r"127\.0\.0\.1:\d+: Address already in use"),
@@ -511,7 +511,7 @@ def test_a_port_in_use_and_a_client_that_never_comes_are_told(folder: Path) -> N
 
 
 @pytest.mark.thorough
-def test_an_interrupt_ends_the_run_and_the_program(folder: Path) -> None:
+def test_interrupt_ends_the_run_and_the_program(folder: Path) -> None:
     (folder / "client.py").write_text(
         "import os, pathlib, time\n"
         "pathlib.Path('pid').write_text(str(os.getpid()))\ntime.sleep(60)\n"
@@ -566,7 +566,7 @@ def received(client: socket.socket, count: int) -> bytes:
 
 
 @pytest.mark.thorough
-def test_no_bytes_harm_the_server() -> None:
+def test_random_bytes_do_not_harm_the_server() -> None:
     chosen = random.Random(4)
     good = [
         message("V", b"\0\2"),
@@ -604,7 +604,7 @@ def test_no_bytes_harm_the_server() -> None:
         server.close()
 
 
-def test_a_client_that_reads_nothing_gets_fewer_packages_and_harms_nobody() -> None:
+def test_client_that_reads_nothing_gets_fewer_packages_without_harm() -> None:
     server = RtdeServer(FakeRobot(), 0.002, "ur")
     server.open("127.0.0.1", 0)
     names = ",".join(name for name, kind in OUTPUTS.items() if kind == "VECTOR6D").encode()
@@ -646,7 +646,7 @@ def path(moving: CommandedMotion, begin: float, seconds: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize(("speed", "acceleration"), [(0.5, 2.0), (3.0, 1.0)])
-def test_a_move_keeps_speed_and_acceleration(speed: float, acceleration: float) -> None:
+def test_move_respects_speed_and_acceleration(speed: float, acceleration: float) -> None:
     moving = motion()
     goal = np.array([1.0, -0.5, 0, 0, 0, 0.2])
     assert moving.move(goal, speed, acceleration, 1.0) == ""

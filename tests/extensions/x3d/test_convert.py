@@ -272,7 +272,7 @@ size = [0.1, 0.2]
         (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not available for toml files"),
         (["fig7.x3d", "there.toml"], "there.toml already exists; use --overwrite to replace it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
-        (["scara", "b.x3d"], "scara: X3D cannot express any part of it; left out: robots."),
+        (["scara", "b.x3d"], "scara: X3D cannot express any part of the scene; left out: robots."),
         (["fig8.x3d", "b.toml"], "fig8.x3d: no such file; did you mean 'fig7.x3d'?"),
     ],
 )  # fmt: skip

@@ -247,7 +247,7 @@ def test_all_errors_are_reported_once() -> None:
         (b"\x1f\x8bxx", "is a damaged gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is a truncated gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n" + b" " * 60_000_000),
-         "is a gzip file with too large contents; expected at most 50 MB"),
+         "is a gzip file with contents that are too large; expected at most 50 MB"),
     ],
     # Workers of pytest-xdist compare test names, and gzip output contains the time.
     ids=["empty", "xml", "vrml1", "stl", "damaged", "cut", "long"],

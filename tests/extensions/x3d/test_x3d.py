@@ -65,7 +65,7 @@ def test_fig_7_is_read_as_printed() -> None:
     }  # fmt: skip
     files = ", ".join(["base.wrl", *(f"link{k}.wrl" for k in range(1, 8))])
     assert described.warnings == [
-        f"missing geometry files {files} in 3dModels/robots/lwr/wrl; these links of lwr are "
+        f"missing geometry files {files} in 3dModels/robots/lwr/wrl; the links of lwr are "
         "generated from the DH table"
     ]
     assert described.lines["robots.lwr.dh_params"] == 10
@@ -269,7 +269,7 @@ def test_only_links_without_a_file_are_generated_from_the_table(
         "link2.wrl of arm is replaced by a link generated from the DH table: "
         f"{tmp_path / 'link2.wrl'}:3: Box.size: "
         "found 2 numbers; expected 3 numbers",
-        "missing geometry files base.wrl; these links of arm are generated from the DH table",
+        "missing geometry files base.wrl; the links of arm are generated from the DH table",
     ]
     assert described.tables["robots"]["arm"]["filenames"] == [
         {"shape": "generated"}, "link1.wrl", {"shape": "generated"},
@@ -344,7 +344,7 @@ def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_pat
         ("DEF udp UdpReceiver {\n structure \"7Z\"\n}",
          ["3: sources.udp.structure: structure '7Z', character 2: found 'Z', expected"]),
         (f"{ARM % ''} USE arm",
-         ["2: arm: is used twice; expected a separate robot instead of USE"]),
+         ["2: arm: is used twice; expected a second robot instead of USE"]),
         (f"Transform {{ scale 2 2 2 children {ARM % ''} }}",
          ["2: arm.baseFrame: is in a Transform with a scale; robots cannot be scaled"]),
         (ARM % "directory \"http://x.org/lwr\" filenames [ \"a.wrl\" ]",
