@@ -102,7 +102,8 @@ def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
         rows.append(("controller", "", found["controller"]))
     if found["clock"] is not None:
         behind = found["clock"] * 1e3
-        what = f"{abs(behind):.1f} ms {'behind' if behind >= 0.0 else 'before'} the local clock"
+        pace = "slow" if behind >= 0.0 else "fast"
+        what = f"{abs(behind):.1f} ms {pace} compared with the local clock"
         rows.append(("clock", "", f"the sender's clock is {what} (assuming no transmission time)"))
     rows.append(("received", str(found["received"]), f"{found['good']} applied"))
     meanings = dict(MEANINGS)

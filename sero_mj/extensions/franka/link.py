@@ -24,7 +24,9 @@ from .messages import HEAD, INCOMPATIBLE, MAX_BYTES, SUCCESS, Messages
 log = logging.getLogger(__name__)
 
 _SLICE = 0.02  # s between checks for the end of the program
-_MAX_DATAGRAMS = 256  # received at once, so that a flood does not stop the simulation
+_MAX_DATAGRAMS = (
+    256  # maximum number received in one step, so that a flood does not stop the simulation
+)
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as in libfranka
 _CONNECT_TIMEOUT = 1.0  # s after which a connection without a request is replaced by another one
 
@@ -106,7 +108,7 @@ class FciLink(Link):
         """Waits for the first client, starts the clock, and returns whether a client connected.
 
         Raises:
-            SimulationError: the program ended before.
+            SimulationError: the program ended before a client connected.
         """
         while not self.clients and clock.monotonic() < self._given_up:
             self.serve(_SLICE)
@@ -134,7 +136,7 @@ class FciLink(Link):
             return False
         try:
             self._socket.sendto(packet, self._peer)
-        except OSError:  # the network is down or overloaded
+        except OSError:  # the network is unavailable or overloaded
             return False
         return True
 

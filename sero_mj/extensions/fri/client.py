@@ -44,7 +44,7 @@ class FriClient(FriSession):
             raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
         required = _REQUIRED_CONTROL.get(self.command_mode)
         if self.version == "1" and required:
-            expected = "position with FRI 1.0, whose commands have flags instead"
+            expected = "position, because FRI 1.0 commands select quantities by flags"
             raise mismatch(self.command_mode, expected, key="command_mode")
         if required and required != self.control:
             expected = f"{required} with command_mode = '{self.command_mode}'"

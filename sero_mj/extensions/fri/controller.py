@@ -22,7 +22,7 @@ from .receiver import ALL_DRIVES, COMMAND, CYCLES, QUALITIES, FriLayout
 
 _MONITOR, _COMMAND = 1, 2
 _QUALITY_NUMBERS = {name: number for number, name in QUALITIES.items()}
-WINDOW = 100  # packets that FRI averages over
+WINDOW = 100  # number of packets over which FRI averages
 _MAX_UNANSWERED = 2  # packets after which an answer counts as missed, chosen by us
 # Minimum answer rate of each quality. KUKA has not published the thresholds; these are ours.
 _MIN_ANSWER_RATES = {3: 0.95, 2: 0.8, 1: 0.5, 0: 0.0}

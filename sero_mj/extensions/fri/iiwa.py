@@ -28,7 +28,7 @@ MONITORING_ID, COMMAND_ID = 0x245142, 0x34001
 # manipulation/README.md and lbr_fri_ros2_stack issue 249; docs/conventions.md.
 TORQUE_SIGN: TorqueSign = -1
 
-UNKNOWN = -1  # a state that is missing in a message
+UNKNOWN = -1  # value of a state that is missing in a message
 STATES = (
     "idle", "monitoring wait", "monitoring ready", "commanding wait", "commanding active",
 )  # fmt: skip
@@ -324,7 +324,7 @@ def no_command(counter: int, reflected: int) -> bytes:
 
 
 def framed(message: bytes) -> bytes:
-    """Returns a message with its length before and its checksum after it (FRI 2.7)."""
+    """Returns a message preceded by its length and followed by its checksum (FRI 2.7)."""
     return struct.pack("<I", len(message)) + message + struct.pack("<I", zlib.crc32(message))
 
 

@@ -47,7 +47,11 @@ _ZYX_TO_XYZ = [0, 1, 2, 5, 4, 3]  # wrenches list moments in the order z, y, x
 
 
 class IiwaFri(FriRobot):
-    """FRI 1.x or 2.x. `state` is an index of `iiwa.STATES`."""
+    """Simulates an iiwa on FRI 1.x or 2.x.
+
+    Attributes:
+        state: index in `iiwa.STATES`.
+    """
 
     def __init__(
         self, declared: FriSession, model: RobotModel, timestep: float, steps: int
@@ -185,5 +189,5 @@ class IiwaFri(FriRobot):
             raise ValueError(f"a command has no {what}")
         numbers = np.array(read_numbers(self._command_fields, field, count))
         if not np.isfinite(numbers).all():
-            raise ValueError(f"{what} of a command: not finite")
+            raise ValueError(f"{what} of a command is not finite")
         return numbers

@@ -47,7 +47,11 @@ _XYZ_TO_ZYX = [0, 1, 2, 5, 4, 3]  # FRI lists moments in the order z, y, x
 
 
 class LwrFri(FriRobot):
-    """FRI 1.0. `state` is `MONITOR` or `COMMANDED`."""
+    """Simulates an LWR on FRI 1.0.
+
+    Attributes:
+        state: `MONITOR` or `COMMANDED`.
+    """
 
     def __init__(
         self, declared: FriSession, model: RobotModel, timestep: float, steps: int

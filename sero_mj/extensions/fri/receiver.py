@@ -25,7 +25,7 @@ from ...data.receive.udp_socket import OnArrival
 from . import iiwa as fri_iiwa
 
 PORT = 49938  # FRI's own default
-TORQUE_SIGN: TorqueSign = 1  # of an LWR; not verified on hardware
+TORQUE_SIGN: TorqueSign = 1  # default sign of an LWR; not verified on hardware
 CYCLES = (0.001, 0.1)  # s; range of the controller's setting
 ALL_DRIVES = 0x7F  # `power` with all seven drives on
 

@@ -363,8 +363,8 @@ class Bag(PacketFile):
     def parent_frames(self) -> dict[str, tuple[str, bool]]:
         """Returns a mapping from frames in the first transforms to their parent frames.
 
-        Each parent frame is followed by whether the frame moves relative to it (`/tf`). Frame names
-        are without their prefixes.
+        Each value consists of the parent frame and of whether the transform is from `/tf`, so that
+        it can change. Frame names have no prefix.
         """
         found = {}
         for topic in ("/tf_static", "/tf"):

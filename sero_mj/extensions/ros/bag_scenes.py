@@ -112,7 +112,11 @@ def _first_pose(scene: Scene, source: str) -> dict[str, Any]:
 
 
 def source_routes(robot: str, source: str, declared: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes from a source of ROS, declared by a table, to a robot."""
+    """Returns the routes from a ROS source to a robot.
+
+    Args:
+        declared: table of the source.
+    """
     states = declared.get("joint_states", "joint_states")
     events = ["joint_angles"] if states else []
     if states and not is_tf(states):

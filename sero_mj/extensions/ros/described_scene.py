@@ -115,7 +115,7 @@ def scenes_of_bag(
         yield from found
     elif found and not is_described:
         names = ", ".join(found)
-        reason = f"does not describe its robot, and {names} have its joints"
+        reason = f"does not describe its robot, and {names} have the same joint names"
         raise UsageError(f"{bag.path} {reason}. Choose one: {choose.replace('NAME', found[0])}")
 
 

@@ -54,7 +54,7 @@ STRUCTURE = " ".join(
     (">", *(events for *_, events in VARIABLES), "torques_are_commanded:1B package_number:1I")
 )
 MEASURED, COMMANDED = "actual_current_as_torque", "target_moment"
-UNKNOWN = -128  # a mode that the controller does not send
+UNKNOWN = -128  # value of a mode that the controller does not send
 _NAN = struct.pack(">d", math.nan)
 _ABSENT = {"DOUBLE": _NAN, "VECTOR6D": 6 * _NAN, "INT32": struct.pack(">i", UNKNOWN)}
 
@@ -286,7 +286,7 @@ class _Packages:
         if self._has_time:
             (stamp,) = struct.unpack_from(">d", payload, 1)
             passed = (stamp - self._stamp) / self._period
-            # A simulated controller may not stamp by the clock of its cycles.
+            # The time stamps of a simulated controller may not follow its cycles.
             step = max(math.floor(passed + _TOLERANCE), 1) if 0.0 < passed < 2.0**31 else 1
             self._stamp = stamp
         self._number = (self._number + step) & 0xFFFFFFFF

@@ -48,7 +48,7 @@ from .variables import INPUT_DOUBLE, INPUT_INT, OUTPUT_INT, REGISTERS
 
 log = logging.getLogger(__name__)
 
-DASHBOARD, SCRIPT = 29999, 30003  # ports that ur_rtde also connects to
+DASHBOARD, SCRIPT = 29999, 30003  # additional ports that ur_rtde connects to
 # Logged states.
 NOBODY, CONNECTED, STARTED, COMMANDED, SILENT = 0, 1, 2, 3, 4
 READY, DONE = 1, 2  # values of ur_rtde's output register
@@ -102,7 +102,7 @@ class RtdeClient(Reachable):
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
         if self.interface == "ur_rtde" and "first_register" in self.model_fields_set:
-            reason = "is for interface = 'position' or 'torque'; leave it out"
+            reason = "requires interface = 'position' or 'torque'. Leave it out"
             raise Problem("first_register", reason).error()
         constants = self.torque_constants
         if constants is not None and not (constants > 0.0).all():

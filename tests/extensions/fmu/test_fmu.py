@@ -56,7 +56,7 @@ class Impedance(Fmi2Slave):
 
 
 class Law:
-    """The same law in Python."""
+    """The same control law in Python."""
 
     def __init__(self, model: Any) -> None:
         self.model = model

@@ -201,7 +201,7 @@ def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, cou
 def test_two_versions_that_refer_to_each_other_cause_no_endless_loop() -> None:
     said = [answer(1, version=9), answer(1, version=10)]
     with FrankaServer(answers=said) as server, receiver_of(server) as receiver:
-        told = f"127.0.0.1:{server.port} refuses version 9, and says that it has 10"
+        told = f"127.0.0.1:{server.port} rejects version 9, but has version 10"
         assert until(lambda: receiver.trouble == told or server.started.is_set())
         assert until(server.started.is_set)
         assert [question[12] for question in server.asked] == [10, 9, 9, 10]

@@ -1,4 +1,4 @@
-"""What `FriReceiver` sends back, which is nothing by default, and what the picture says of FRI."""
+"""Answers of `FriReceiver` (none by default), and the FRI status in images."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Kind `fri` of controllers, versions of an iiwa: a client in Google's Protocol Buffers holds it.
+"""Controller kind `fri` as an iiwa, commanded by a client with Google's Protocol Buffers.
 
-KUKA's own client SDKs 1.15, 2.5 and 2.7 hold it as well; their licence keeps them out of here.
+KUKA's client SDKs 1.15, 2.5 and 2.7 also control it, but their license forbids including them.
 """
 
 from __future__ import annotations

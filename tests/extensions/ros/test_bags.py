@@ -593,7 +593,7 @@ def ur_states(names: list[str], step: int = 0) -> list[tuple[int, Any]]:
 def test_ambiguous_robot_is_not_chosen_automatically(tmp_path: Path, capsys: Any) -> None:
     bag = write_bag(tmp_path / "ur", {"/joint_states": ur_states(UR)})
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
-    fits = f"{bag} does not describe its robot, and ur10e, ur5e have its joints"
+    fits = f"{bag} does not describe its robot, and ur10e, ur5e have the same joint names"
     for command, how in (
         (["render", str(bag), *picture], f"sero-mj view ur10e --replay {bag}"),
         (["compare", str(bag), str(bag)], "--scene ur10e"),
@@ -639,7 +639,7 @@ def test_messages_without_joint_names_belong_to_the_named_robot(
 ) -> None:
     messages = [(k * STEP, joint_state([], angles(k))) for k in range(COUNT)]
     bag = write_bag(tmp_path / "bare", {"/joint_states": messages})
-    why = f"{bag}: the messages of /joint_states do not name their joints. If the scene"
+    why = f"{bag}: the messages of /joint_states do not name their joints. Choose a scene"
     picture = ["-o", str(tmp_path / "seen.png"), "--size", "80x60"]
     for command in (
         ["render", str(bag), *picture],

@@ -1,4 +1,4 @@
-"""`Foxglove` against a server of Foxglove's own SDK, and against one that talks nonsense."""
+"""`Foxglove` with a server of Foxglove's own SDK, and with a server that sends invalid data."""
 
 from __future__ import annotations
 
@@ -65,14 +65,14 @@ class Server:
     """A server for Foxglove, of websockets alone.
 
     Args:
-        greeting: what is sent to whoever connects: texts, bytes, or objects for JSON.
+        greeting: messages sent to each client: strings, bytes, or objects to encode as JSON.
         port: 0 for any.
-        subprotocols: that it speaks.
+        subprotocols: supported subprotocols.
 
     Attributes:
-        told: what came, of all clients.
+        told: messages received from all clients.
         connections: number of clients so far.
-        refusal: why a client is sent away at once; empty if it is not.
+        refusal: reason for which clients are rejected; empty to accept them.
     """
 
     def __init__(self, *greeting: Any, port: int = 0, subprotocols: Any = SUBPROTOCOLS[1:]) -> None:

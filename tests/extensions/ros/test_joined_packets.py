@@ -1,4 +1,4 @@
-"""Messages of ROS joined to packets: what is good is taken, what is not is counted and told."""
+"""Joining ROS messages to packets; malformed messages are counted and reported."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ GOOD = joint_state(ARM, (1, 2), (3, 4), (5, 6), stamp=10**9)
 
 
 class Heard(Listener):
-    """A source that is told messages, and what it says of them."""
+    """A source with a listener, and the warnings that it logs."""
 
     def __init__(self, **fields: Any) -> None:
         self.source = Ros2(**{"name": "ros", "domain": 1, **fields})

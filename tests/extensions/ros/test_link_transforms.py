@@ -59,7 +59,7 @@ def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def heard(robot: Path, routes: dict[str, str], **fields: Any) -> tuple[Listener, list[str]]:
-    """What hears messages for a source that leads the robot, and what it says of them."""
+    """Returns the listener of a source that moves the robot, and its list of warnings."""
     scene = load_scene(robot)
     scene.sources = {"ros": {"kind": "ros2", "domain": 1, **fields}}
     scene.routes = {f"arm.{key}": f"ros.{event}" for key, event in routes.items()}

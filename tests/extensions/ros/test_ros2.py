@@ -136,7 +136,7 @@ def test_clock_offset_is_detected_and_shown(peer: Peer, late: float, shown: str)
         assert found["clock"] == pytest.approx(late, abs=0.05)
         assert shown in source_text(found, is_live=True)[0]
         (row,) = [why for what, _, why in describe(found) if what == "clock"]
-        assert re.search(r"25\d\d\.\d ms behind" if late > 0 else r"24\d\d\.\d ms ahead", row), row
+        assert re.search(r"25\d\d\.\d ms slow" if late > 0 else r"24\d\d\.\d ms fast", row), row
 
 
 def test_stamps_without_a_common_clock_are_not_compared(peer: Peer) -> None:

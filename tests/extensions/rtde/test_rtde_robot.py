@@ -373,7 +373,7 @@ def test_robot_holds_its_position_after_the_program_has_ended(folder: Path) -> N
 
 
 def test_failing_program_ends_the_run(folder: Path) -> None:
-    with pytest.raises(SimulationError, match=r"exit status 1; its last lines: no more$"):
+    with pytest.raises(SimulationError, match=r"exit status 1; its last output: no more$"):
         simulated(folder, "fails")
 
 
