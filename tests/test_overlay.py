@@ -419,7 +419,7 @@ def test_arguments_of_another_type_are_rejected() -> None:
         UsageError,
         key="robots",
         found=["arm"],
-        expected="fields by robot, as {'arm': {'arrow_radius': 0.06}}",
+        expected="a mapping from robots to fields, such as {'arm': {'arrow_radius': 0.06}}",
     ):
         sero_mj.overlay(model, data, robots=["arm"])  # type: ignore[arg-type]
     with raises_with(UsageError, key="width", found="640", expected="a number of pixels"):
