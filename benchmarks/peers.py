@@ -93,24 +93,21 @@ class Work:
     names: dict[str, str] = field(default_factory=dict)  # of peers, where others than above
 
 
-_ARRAYS = (
-    "sero-mj calls the same functions, and also checks the length of its input and returns a new "
-    "array"
-)
+_ARRAYS = "sero-mj calls the same functions, checks the length of its input and returns a new array"
 _PINOCCHIO = (
-    "its kinematics computes only the frames of the joints, while that of MuJoCo, which sero-mj "
-    "uses, also computes axes, quaternions and inertial frames of all links"
+    "it computes only the frames of the joints. MuJoCo, which sero-mj uses, also computes axes, "
+    "quaternions and inertial frames of all links"
 )
 _PAGE = (
     "A loop at 100 Hz sets new angles and torques of all joints in each call, while a browser "
     "shows the page with software rendering. sero-mj copies the numbers to memory that it shares "
     "with the viewer process, which computes arrows, sizes and labels. The other packages compute "
-    "frames in the loop and send one message for each link and for a bar or arrow at each joint. "
+    "frames in the loop and send one message per link and per bar or arrow. "
     "The server of rerun has no open viewer."
 )
 _WINDOW = (
-    "The same with a window on a virtual screen. With MuJoCo's passive viewer, the loop computes "
-    "kinematics and adds an arrow for each joint."
+    "The same task with a window on a virtual screen. With MuJoCo's passive viewer, the loop "
+    "computes kinematics and adds an arrow for each joint."
 )
 _MESHCAT = {"with_pinocchio": "MeshCat with Pinocchio's visualizer"}
 _COUNTS = "it counts packets, but neither reads nor renders them"
@@ -141,7 +138,8 @@ WORKS = {
         ("ours", "bare_mujoco", "with_pinocchio"),
         why={
             "bare_mujoco": "sero-mj also designs D and adds the feedforward terms of the target",
-            "with_pinocchio": f"sero-mj also designs D, and for Pinocchio, {_PINOCCHIO}",
+            "with_pinocchio": "sero-mj also designs D, and its kinematics computes more frames "
+            "(see above)",
         },
     ),
     "joint_control": Work(
@@ -160,14 +158,16 @@ WORKS = {
         ("ours", "with_viser", "with_pinocchio", "with_rerun"), names=_MESHCAT,
     ),
     "show_page_51": Work(
-        "Display of 51 joints on a page", "The same.",
+        "Display of 51 joints on a page", "The same task with 51 joints.",
         ("ours", "with_viser", "with_pinocchio", "with_rerun"), names=_MESHCAT,
     ),
     "show_window_7": Work(
         "Display of 7 joints in a window", _WINDOW, ("ours", "bare_mujoco"),
     ),
     "show_window_51": Work(
-        "Display of 51 joints in a window", "The same.", ("ours", "bare_mujoco"),
+        "Display of 51 joints in a window",
+        "The same task with 51 joints.",
+        ("ours", "bare_mujoco"),
     ),
     "first_picture": Work(
         "From the start of Python to an image of a URDF",
@@ -180,8 +180,8 @@ WORKS = {
     ),
     "first_scene": Work(
         "From the start of Python to an image of the same scene",
-        "The same, but MuJoCo reads the scene that sero-mj exports from the URDF, with floor, "
-        "lights and shadows, seen from the same camera.",
+        "The same task, but MuJoCo reads the scene that sero-mj exports from the URDF, with "
+        "floor, lights and shadows, seen from the same camera.",
         ("ours", "bare_mujoco"),
         why={"bare_mujoco": "sero-mj also reads and checks the URDF and compiles the scene"},
     ),
@@ -205,7 +205,8 @@ WORKS = {
     "packets": Work(
         "Packets per second without loss",
         "112-byte packets over loopback from a sender in C, at increasing rates up to 400,000/s. "
-        "sero-mj renders 30 images per second at the same time. The others do nothing else.",
+        "sero-mj renders 30 images per second at the same time. The other programs do nothing "
+        "else.",
         ("ours",),
         unit="packets/s",
         why={
@@ -229,14 +230,14 @@ WORKS = {
     ),
     "environments": Work(
         "Environment step, 64 robots together",
-        "The same with `gymnasium.make_vec`, per robot. sero-mj uses all cores, which is its "
+        "The same task with `gymnasium.make_vec`, per robot. sero-mj uses all cores, which is its "
         "default. mjlab is designed for GPUs and thousands of robots.",
         ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
     ),
 }  # fmt: skip
 LEFT_OUT = (
-    ("Time to the first image with rerun", "its page does not signal when it has rendered"),
+    ("Time to the first image with rerun", "its page does not signal it"),
     (
         "Packet to pixel with viser and MeshCat",
         "neither receives packets, so this would measure our own code",
@@ -463,13 +464,12 @@ def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]
     how = "one round" if rounds == 1 else f"median of {rounds} rounds"
     head = f"""# Performance compared with other packages
 
-This page shows how long the same task takes with sero-mj and with other packages. All were
-measured in one run, in turns ({how}). `make peers` repeats the measurements and writes this
-page, so no value is entered by hand. Where a task has a result (poses, matrices, torques), all
-results agree to 1e-6. Images are rendered in software, without a GPU, which makes rendering
-slow for all packages. Load is the average number of processes that were ready to run. If it
-exceeds the number of cores, all rendering times are too long. The last column is relative to
-sero-mj.
+This page shows how long the same task takes with sero-mj and with other packages. The
+packages were measured alternately in one run ({how}). `make peers` repeats the
+measurements and writes this page. If a task has a numerical result, the results of all packages
+agree to 1e-6. Images are rendered in software, without a GPU. Load is the average number of
+processes that were ready to run. If it exceeds the number of cores, all rendering times are too
+long. The last column is the ratio to the value of sero-mj.
 
 {date.today().isoformat()} · {machine()}, load {loads} · {", ".join(versions)}
 """

@@ -1,9 +1,8 @@
-"""Makes a picture of every system and of every visual feature, and the page that shows them.
+"""Renders the images of the gallery and of the start page, and writes `docs/gallery.md`.
 
-`make gallery` writes `docs/pictures/gallery/*.webp` and `docs/gallery.md` from the list `SHOTS`,
-and `make gallery SHOTS="justin lwr"` only these pictures. A new robot, scene or feature gets an
-entry. It also writes `scenes/pictures/*.jpg`, which the start page shows: one of whatever is
-shipped, as in `SHOTS`, or else as it stands.
+`make gallery` renders an image for each entry of `SHOTS`, and an image for each included scene,
+scenario, robot and group in `scenes/pictures`. `make gallery SHOTS="justin lwr"` renders only these
+images. Add an entry for each new robot, scene or visual feature.
 """
 
 from __future__ import annotations
@@ -37,8 +36,8 @@ PAGE = DOCS / "gallery.md"
 PICTURES = DOCS / "pictures" / "gallery"
 START_PICTURES = paths.scenes_dir() / "pictures"
 SIZE = (600, 440)  # pixels
-START_SIZE = (480, 300)  # likewise, of the start page
-# Of an LWR in these, rad.
+START_SIZE = (480, 300)  # pixels, images of the start page
+# Pose of an LWR without data on the start page, rad.
 POSE = [0.4, 0.6, 0.0, -1.3, 0.0, 0.7, 0.0]
 
 SYSTEMS, FEATURES = "Robots", "Visual features"
@@ -46,19 +45,18 @@ SYSTEMS, FEATURES = "Robots", "Visual features"
 
 @dataclass(frozen=True)
 class Shot:
-    """A picture of the gallery.
+    """An image of the gallery.
 
     Attributes:
-        name: of the file.
-        caption: one line under the picture.
-        scene: a shipped scene, scenario or robot by name, or the text of a scene file.
-        overrides: `robot.field` to its value, over what the scene says.
-        at: time of a simulation, s.
-        camera: as `sero-mj render --camera` takes it; the scene's view when None.
-        holds_itself: whether arrows show what holds the robots against gravity.
-        played_by: a script beside the scene that sends its packets; without one a scene with a
-            source would say that no data has come.
-        group: the part of the page where it is shown.
+        name: name of the image file, without its ending.
+        caption: line below the image.
+        scene: name of an included scene, scenario or robot, or the text of a scene file.
+        overrides: mapping from keys such as `robot.field` to values that override the scene.
+        at: simulated time of the image, s.
+        camera: camera as in `sero-mj render --camera`; None for the view of the scene.
+        holds_itself: whether arrows show the gravity torques of the robots.
+        played_by: script in the folder of the scene that sends its packets; None for none.
+        group: heading on the page.
     """
 
     name: str
@@ -189,9 +187,9 @@ joint_angles = [0.828, 1.721, -2.029]
 
 
 def scene_of(shot: Shot) -> Scene:
-    """Returns the scene of a picture, its robots held against gravity where that is wanted.
+    """Returns the scene of an image, with gravity torques if the image shows them.
 
-    A live scene of which no script sends the packets is as it is declared.
+    If no script sends packets to a live scene, its sources and routes are removed.
     """
     if "\n" not in shot.scene:
         scene = _held(load_scene(shot.scene, shot.overrides), shot, shot.scene)
@@ -213,7 +211,7 @@ def _held(scene: Scene, shot: Shot, name: str) -> Scene:
         return scene
     world = World(scene, dynamic=True)
     data = world.make_data()
-    mujoco.mj_forward(world.model, data)  # at rest, so that the bias is gravity's
+    mujoco.mj_forward(world.model, data)  # at rest, `qfrc_bias` contains only gravity torques
     torques = {
         f"{robot}.torques": data.qfrc_bias[part.dofs].tolist()
         for robot, part in world.robots.items()
@@ -222,7 +220,7 @@ def _held(scene: Scene, shot: Shot, name: str) -> Scene:
 
 
 def make_page(shots: Sequence[Shot] = SHOTS) -> str:
-    """Returns the text of the page."""
+    """Returns the text of the page in Markdown."""
     about = (
         "This page shows the robots and visual features of sero-mj. `make gallery` renders the "
         "images. Their scenes are defined in `docs/gallery.py`."
@@ -237,7 +235,7 @@ def make_page(shots: Sequence[Shot] = SHOTS) -> str:
 
 
 def start_shots() -> dict[str, Shot]:
-    """The pictures of the start page, by the name of what is shipped."""
+    """Returns a mapping from names of included scenes and robots to images of the start page."""
     named = {shot.scene: shot for shot in reversed(SHOTS) if "\n" not in shot.scene}
     groups = {name: shot for shot in SHOTS for name in paths.list_group_models()
               if f'model = "{name}"' in shot.scene}  # fmt: skip
@@ -251,9 +249,9 @@ def start_shots() -> dict[str, Shot]:
 
 
 def start_scene_of(shot: Shot) -> Scene:
-    """Returns the scene of a picture for the start page: what is live holds itself instead.
+    """Returns the scene of an image for the start page, without billboards and legend.
 
-    Numbers and legends would be too small there.
+    Robots of live scenes show their gravity torques. Text would be too small on the start page.
     """
     is_as_shipped = "\n" not in shot.scene and not shot.overrides and shot.played_by is None
     if is_as_shipped and _is_live(load_scene(shot.scene)):
@@ -276,7 +274,7 @@ def _is_lwr(robot: SerialRobot) -> bool:
 
 @contextmanager
 def _sender(shot: Shot) -> Iterator[None]:
-    """Sends the packets of a live scene, as long as its picture takes."""
+    """Sends the packets of a live scene while its image is rendered."""
     if shot.played_by is None:
         yield
         return
@@ -287,7 +285,7 @@ def _sender(shot: Shot) -> Iterator[None]:
 
 
 def main(names: Sequence[str]) -> None:
-    """Makes all pictures, or those named, and the page."""
+    """Renders all images, or the named ones, and writes the page."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     for shot in SHOTS:
         if not names or shot.name in names:

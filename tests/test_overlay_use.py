@@ -173,7 +173,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
     with raises_with(
         UsageError,
         key="data",
-        reason="found that of a model with nq =",
+        reason="found data of a model with nq =",
         found=1,
         expected="11: mujoco.MjData(model) of the same model",
     ):
@@ -183,7 +183,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
     with raises_with(
         UsageError,
         key="data",
-        reason="found that of a model with another jnt_type",
+        reason="found data of a model with another jnt_type",
         expected="mujoco.MjData(model) of the same model",
     ):
         sero_mj.overlay(hinge, slide)

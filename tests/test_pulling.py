@@ -255,7 +255,7 @@ def test_item_under_the_pointer_is_grabbed_or_the_reason_reported() -> None:
         assert not (pulling.is_on or toggles.cards[card])
         text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert is_bad
-        assert text == "the past cannot be pushed: continue at 0.20 s, the current time"
+        assert text == "the past cannot be changed: continue at 0.20 s, the current time"
 
 
 @pytest.mark.gl
@@ -271,7 +271,7 @@ def test_robots_that_are_not_simulated_cannot_be_pushed(name: str, why: str) -> 
         elbow = mirror.data.site_xpos[mirror.world.joints.centre_site[3]]
         at = tuple(renderer.decor.view.project(elbow)[0])
         text, is_bad = pulling.grab(at)  # type: ignore[misc]
-        assert (text, is_bad) == (f"{why}; only simulated robots can be pushed", True)
+        assert (text, is_bad) == (f"{why}; only simulated robots can be pulled", True)
         assert not pulling.is_on
 
 

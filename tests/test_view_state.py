@@ -144,7 +144,7 @@ def test_view_is_saved_for_its_scene(
     assert load_view(load_scene("lwr")) is None
     for text in ("", "{}", '{"view": "[]", "layout": {}}', '{"view": "{}", "layout": 3}', "\0"):
         file.write_text(text)
-        with pytest.raises(UsageError, match=r"no valid view \(.*use --fresh to ignore it"):
+        with pytest.raises(UsageError, match=r"not a valid view \(.*use --fresh to ignore"):
             load_view(scene)
     long = state._replace(switches={"axes": "01" * 50_000}, time=None)
     save_view(scene, long, {"plot": True}, {"plot": ["x" * 500_000]})

@@ -112,7 +112,7 @@ def test_every_path_rejects_other_origins(page: WebHost) -> None:
         ):
             status, text, _ = get(port, path, Origin=origin)
             assert status == 403, (path, origin)
-            assert f"found Origin {origin!r}; expected the page's own" in text
+            assert f"found Origin {origin!r}; expected the origin of the page" in text
     token = f"?token={page.server.token}"
     for path in ("/live", "/sero-mj/files"):
         assert "found Origin" in refusal_of(port, path + token, origin="http://evil.example")

@@ -1,5 +1,5 @@
-"""A gamepad in windows: it moves the camera and targets, and its buttons press keys.
+"""Gamepad input in windows: sticks move the camera or targets, and buttons press keys.
 
-In: the first gamepad that GLFW knows. Out: the tool `gamepad`.
+In: the first gamepad that GLFW recognizes. Out: the tool `gamepad`.
 Open first: `gamepad.py`.
 """

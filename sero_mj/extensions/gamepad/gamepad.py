@@ -1,7 +1,7 @@
 """`Gamepad`: moves the camera and targets, selects joints and controls time with a gamepad.
 
-Buttons and axes have the layout of SDL's mappings, which GLFW includes for thousands of gamepads,
-and the names of an Xbox controller.
+Buttons and axes follow SDL's gamepad mappings, which GLFW includes, and have the names of an Xbox
+controller.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ PAD_STICKS: dict[str, str] = {
 }
 _SWITCH = "left stick"  # the button that switches between view and target
 _DEAD_ZONE = 0.15
-_ORBIT, _PAN = 0.7, 0.5  # image heights per s, as of a drag
+_ORBIT, _PAN = 0.7, 0.5  # image heights per s, as for a drag of the mouse
 _ZOOM = 12.0  # wheel notches per s
-_SPEED, _SPIN = 0.25, np.deg2rad(45.0)  # of a target, m/s and rad/s
+_SPEED, _SPIN = 0.25, np.deg2rad(45.0)  # speeds of a target, m/s and rad/s
 _SEARCH_INTERVAL = 1.0  # s
 _MAX_FRAME = 0.1  # s; longer frames are shortened, so that the view does not jump
 
@@ -56,8 +56,9 @@ class PadState(NamedTuple):
     """The state of a gamepad.
 
     Attributes:
-        buttons: whether each of `BUTTONS` is pressed, (15,).
-        axes: left stick x and y, right stick x and y, left and right trigger; -1 to 1, y down.
+        buttons: whether each button of `BUTTONS` is pressed, shape (15,).
+        axes: left stick x and y, right stick x and y, left and right trigger, shape (6,), -1 to 1.
+            The y axes point down.
     """
 
     name: str
@@ -92,10 +93,10 @@ class PadReader:
 
 
 class Gamepad(Tool):
-    """Applies the input of a gamepad to its window; it does nothing on a page.
+    """Applies the input of a gamepad to a window. On pages, the tool does nothing.
 
     Attributes:
-        read: returns the state of the gamepad, or None if there is none.
+        read: function that returns the state of the gamepad, or None without a gamepad.
         moves_target: whether the sticks move a target instead of the view.
     """
 
@@ -181,6 +182,6 @@ class Gamepad(Tool):
 
 
 def deflection(axes: Array) -> Array:
-    """Returns axes (k,), -1 to 1, with a dead zone and a quadratic response."""
+    """Applies a dead zone and a quadratic response to axes, shape (k,), -1 to 1."""
     beyond = np.clip((np.abs(axes) - _DEAD_ZONE) / (1.0 - _DEAD_ZONE), 0.0, 1.0)
     return np.asarray(np.sign(axes) * beyond**2)

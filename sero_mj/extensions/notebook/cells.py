@@ -1,4 +1,4 @@
-"""`Cells`: the page of a viewer in notebook cells, over the kernel's own channel.
+"""`Cells`: the page of a viewer in notebook cells, connected through the kernel's own channel.
 
 Browsers need no port and no proxy. A cell has two outputs: a frame with the page, and a hidden
 element with the run of the last minute. A saved notebook contains both; without a kernel, the page
@@ -31,8 +31,8 @@ from ...viewer.web.server import socket_url
 _RUN = "shown_run"  # the tool that captures the run
 _HEIGHT = 600  # pixels
 _FIRST = "first"  # the connection of the first page, see `bridge.js`
-_ALIVE = 5.0  # s between messages that report that the kernel is running
-_GONE = 15.0  # s without a message after which a page is closed; it sends one every 4 s
+_ALIVE = 5.0  # s between messages by which the kernel reports that it is running
+_GONE = 15.0  # s without a message after which a page is considered closed; pages send every 4 s
 _TICK = 0.05  # s to wait for a message; a busy kernel receives none from its pages
 _GOT = '{"t":"got"}'  # the answer of a page to a message
 _LAST_RUN = 3.0  # s to wait for the last run when a viewer is closed

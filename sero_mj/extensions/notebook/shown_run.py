@@ -1,4 +1,4 @@
-"""`ShownRun`: the last displayed minute as a run, which a notebook stores."""
+"""`ShownRun`: captures the last displayed minute as a run, which the notebook stores."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...viewer.player.frame import CapturedFrame
 from ...viewer.player.page import packed
 from ...viewer.session.tool import Shown, Tool
 
-SPAN = 60.0  # s of the stored run
+SPAN = 60.0  # duration of the stored run, s
 _FPS = 20.0
 _MAX_REST = 0.5  # s; longer periods without a change are shortened to this
 _INTERVAL = 10.0  # s between two stored runs
@@ -32,7 +32,7 @@ class ShownRun(Tool):
         self._capturer: FrameCapturer | None = None
         self._frames: deque[tuple[float, CapturedFrame]] = deque()
         self._taken = 0.0  # time of the last frame, on the clock of `time.monotonic`
-        self._time = 0.0  # in the run, s
+        self._time = 0.0  # time in the run, s
         self._sent = 0.0  # time of the last run, on the clock of `time.monotonic`
         self._is_new = False
         self._thread: threading.Thread | None = None
@@ -61,7 +61,7 @@ class ShownRun(Tool):
             self._frames.popleft()
 
     def reply(self) -> str | None:
-        """Returns a new run, packed as in pages, or None."""
+        """Returns a new run in the packed format of pages, or None."""
         run, self._run = self._run, None
         is_making = self._thread is not None and self._thread.is_alive()
         if run is None and self._is_new and not is_making:

@@ -19,7 +19,7 @@ _BESIDE = (0.07, 0.08, 0.09, 1.0)  # color beside the image
 
 
 class PhotoViewport(Viewport):
-    """The image of a camera, as large as fits into a rectangle of a window."""
+    """Shows the images of a camera, scaled to fit into a rectangle of a window."""
 
     def __init__(
         self,

@@ -240,7 +240,7 @@ def _of_corners(
 
 
 def is_open(vertices: Array, faces: Ints) -> bool:
-    """Whether a surface has an edge that belongs to only one triangle."""
+    """Returns whether a surface has an edge that belongs to only one triangle."""
     _, names = np.unique(vertices, axis=0, return_inverse=True)
     return _has_ends(names.ravel()[faces])
 

@@ -162,7 +162,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
 
 
 def cached_tree(source: Any, folder: Path) -> MjcfTree:
-    """Like `tree_of`, but cached until the file changes."""
+    """Returns the result of `tree_of`, cached until the file changes."""
     if is_file_name(source):
         modified, tree = _cached.get(folder / source, (0, None))
         if tree is not None and modified == _modified(folder / source):

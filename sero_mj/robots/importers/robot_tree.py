@@ -85,7 +85,7 @@ class UrdfLink:
 
 @dataclass
 class Joint:
-    """A joint.
+    """A joint between two links.
 
     Attributes:
         kind: joint type: `revolute`, `prismatic` or `fixed`.

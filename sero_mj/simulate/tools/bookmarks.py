@@ -21,7 +21,7 @@ from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..runs.run_source import RunSource
 
-_MAX_COUNT = 1000  # of each kind
+_MAX_COUNT = 1000  # maximum number of marks, and of faults
 _MIN_INTERVAL = 0.5  # s between two faults of the same kind at a joint
 _SAME = 1e-3  # s
 _AGE = SOURCE_FIELDS.index("age")
@@ -31,11 +31,11 @@ _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 
 
 class Bookmarks(Tool):
-    """Marks of the user, and faults that a monitor detects in simulations and recordings.
+    """Marks set by the user, and faults that a monitor detects in simulations and recordings.
 
-    Live sources are monitored continuously: joints beyond their torque or angle limits, torque
-    errors above the monitor's share of the limit, silent sources, and packets that are lost or not
-    applied.
+    Live sources are monitored continuously. The detected faults are: joints beyond their torque or
+    angle limits, torque errors above the monitor's share of the limit, silent sources, and packets
+    that are lost or not applied.
     """
 
     order: ClassVar[int] = 60
@@ -64,7 +64,7 @@ class Bookmarks(Tool):
         self._was: Bools = np.zeros((3, len(joints.names)), bool)
         self._last: Array = np.full((3, len(joints.names)), -np.inf)  # times of detection, s
         self._silent: set[str] = set()
-        # By source: the counters of `_LOSSES`, and the times of their last change, s.
+        # By source: values of the counters in `_LOSSES`, and times of their last change, s.
         self._counts: dict[str, tuple[Array, Array]] = {}
 
     def actions(self) -> Mapping[str, Action]:

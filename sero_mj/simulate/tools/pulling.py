@@ -1,4 +1,4 @@
-"""`Pulling`: pulls links of simulated robots by the pointer, or reports why that is impossible."""
+"""`Pulling`: pulls links of simulated robots with the pointer, or shows why it cannot."""
 
 from __future__ import annotations
 
@@ -83,12 +83,12 @@ class Pulling(Tool):
             if self._mirror.sources:
                 live = self._mirror.is_live
                 what = "mirrored from packets" if live else "played from a recording"
-            return f"{robot} is {what}; only simulated robots can be pushed"
+            return f"{robot} is {what}; only simulated robots can be pulled"
         if self._source.error is not None:
             return f"the simulation has stopped: {self._source.error}"
         now, run = self._clock.time, self._source.run
         if now < run.time - run.scenario.run.timestep - _SAME_TIME:
-            return f"the past cannot be pushed: continue at {run.time:.2f} s, the current time"
+            return f"the past cannot be changed: continue at {run.time:.2f} s, the current time"
         if self._clock.is_at_end:
             return f"the run has ended at {run.time:g} s; --set run.duration=60 extends it"
         return ""
@@ -105,7 +105,7 @@ class Pulling(Tool):
         self._at = at
 
     def drag(self) -> str:
-        """Pulls to the pointer in the plane through the point, parallel to the image."""
+        """Pulls the point toward the pointer, in a plane parallel to the image."""
         view = self.shown.decor.view
         if not self.is_on or view is None:
             return ""

@@ -1,7 +1,7 @@
-"""`Steering`: drags the targets of robots that are simulated without end.
+"""`Steering`: moves the targets of robots in simulations without an end time.
 
-The robot's double shows the target. Handles drag its flange, Ctrl drags its links, and sliders move
-its joints. The robot follows with the compliance of its controller.
+A double of the robot shows the target. Handles move the flange of the double, Ctrl+drag moves a
+link, and sliders move joints. The robot follows the target with the compliance of the controller.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ from ..live_control import LiveRobot
 from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel
 
-_PAST = 0.1  # s before the newest time; earlier times are the past
+_PAST = 0.1  # s; older times, relative to the newest time, are the past
 _NEAR = 5.0  # pixels, maximum distance of the pointer from a handle
 
 
 class Steering(Tool):
-    """The targets of simulated robots.
+    """Moves the targets of simulated robots.
 
     Attributes:
-        robots: robots with changeable targets and controllers, by name.
-        goals: goals of their targets, by name.
+        robots: mapping from names to robots whose target and controller can be changed.
+        goals: mapping from the names of these robots to the joint goals of the targets.
         selected: name of the robot whose target has handles.
         has_handles: whether handles are shown.
         is_on: whether a target is being dragged.
@@ -60,7 +60,7 @@ class Steering(Tool):
         # The dragged handle with its initial pose and pixel, or the dragged point of a link.
         self._handle: tuple[int, Array, Pixel] | None = None
         self._point: tuple[str, int, Array] | None = None
-        # Doubles whose links can be dragged, and their robots.
+        # Robot of each double whose links can be dragged, by the name of the double.
         world = mirror.world
         self._doubles = {
             name: part.double.of
@@ -104,18 +104,18 @@ class Steering(Tool):
 
     @property
     def error(self) -> str:
-        """Reason why the simulation has stopped; empty while it runs."""
+        """Reason why the simulation has stopped; empty while the simulation runs."""
         return "" if self.source is None or self.source.error is None else f"{self.source.error}"
 
     def start_again(self) -> str:
-        """Restarts after an error; returns a message."""
+        """Restarts the simulation after an error; returns a message for the user."""
         self.source.start_again()
         self._find_robots()
         self._clock.go_to_start()
         return "from the declared pose"
 
     def choose(self, robot: str, control: str) -> str:
-        """Changes the controller of a robot; returns a message."""
+        """Changes the controller of a robot; returns a message for the user."""
         self.selected = robot
         why = self.robots[robot].choose(control)
         self.goals[robot].follow(self.robots[robot].goal)
@@ -126,7 +126,7 @@ class Steering(Tool):
         return world.frame(self._mirror.data, world.robots[robot].base_name)
 
     def advance(self, passed: float) -> None:
-        """Passes the goals on to the simulation, and shows the handles.
+        """Passes the goals to the simulation, and shows the handles.
 
         Called before the mirror moves.
         """
@@ -196,7 +196,7 @@ class Steering(Tool):
         return robot, link_number(self.goals[robot].robot, label), picked.name
 
     def _frames(self, robot: str) -> Array:
-        """Returns the frames of base and links of a target, (n + 1, 4, 4), m."""
+        """Returns the frames of a target's base and links, shape (n + 1, 4, 4), in m."""
         goal = self.goals[robot]
         return goal.robot.kinematics.frames(goal.angles, self.base(robot))
 
@@ -204,7 +204,7 @@ class Steering(Tool):
         self._at = at
 
     def drag(self) -> str:
-        """Moves the target to the pointer; returns the reason if that is impossible."""
+        """Moves the target to the pointer; returns the reason if this is impossible."""
         view = self.shown.decor.view
         if view is None or not self.is_on:
             return ""

@@ -1,4 +1,4 @@
-"""`SteeringPanel`: controllers, gains and targets of robots that are simulated without end."""
+"""`SteeringPanel`: controllers, gains and targets of robots in simulations without an end time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _SLIDER = 9.5  # width, as a multiple of the text height
 
 
 class Steered(Protocol):
-    """Interface of `Steering` for the panel."""
+    """Interface of `Steering` that the panel uses."""
 
     robots: dict[str, LiveRobot]
     goals: dict[str, JointGoal]
@@ -74,7 +74,7 @@ class SteeringPanel:
         changed, is_on = ui.check("handles", steering.has_handles and steering.selected == name)
         if changed:
             steering.has_handles, steering.selected = is_on, name
-        ui.tip("drag arrows, rings or cube to move the target's flange; Ctrl+drag its links")
+        ui.tip("drag arrows, rings or cube to move the target's flange; Ctrl+drag moves a link")
         ui.same_line()
         if ui.button("target to robot"):
             goal.follow(steering.robots[name].measured)

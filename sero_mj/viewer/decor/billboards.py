@@ -396,7 +396,7 @@ class LineFormat:
 
 
 def has_chosen_lines(part: Owner) -> bool:
-    """Whether billboard lines are declared, and not derived from the received inputs."""
+    """Returns whether billboard lines are declared, and not derived from the received inputs."""
     return part.declared.billboard_lines is not None or part.billboard_lines is not None
 
 

@@ -72,7 +72,7 @@ class Frame:
 
 
 class Drawn(Protocol):
-    """Anything drawn with every frame."""
+    """An object that is drawn with every frame."""
 
     def lay_out(self, frame: Frame) -> None: ...
 

@@ -163,9 +163,9 @@ class ValueLine:
     """A line that ends with a number.
 
     Attributes:
-        whole: integer part of the number; `no data` if there is none.
+        whole: integer part of the number; `no data` if there is no number.
         rest: the number from the decimal point on.
-        unit: unit, with a leading space.
+        unit: unit with a leading space.
     """
 
     name: str
@@ -185,7 +185,7 @@ class ValueLine:
 
 @dataclass(frozen=True)
 class ValueColumns:
-    """Lines in columns, pixels."""
+    """Positions and width of lines that are aligned in columns, pixels."""
 
     rows: list[ValueLine | str]
     label: float  # left edge of the labels

@@ -30,7 +30,7 @@ class ImageView:
         tan_half_fovy: tangent of half the vertical field of view.
         near: distance of the near plane, m.
         inset: widths of the left, bottom, right and top margins that the UI covers, pixels. Panels
-            are placed inside these margins.
+            are placed in the area between these margins.
     """
 
     position: Array
@@ -74,7 +74,7 @@ class ImageView:
 
     @cached_property
     def free(self) -> tuple[Array, Array]:
-        """Lower left and upper right pixel (2,) of the area that is not covered by UI."""
+        """Lower left and upper right pixel, shape (2,) each, of the area not covered by UI."""
         left, below, right, above = self.inset
         low = np.array([left, below])
         return low, np.maximum(np.array([self.width - right, self.height - above]), low)

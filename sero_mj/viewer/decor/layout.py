@@ -132,7 +132,7 @@ def with_room(
 
 
 def is_narrow(sizes: Array, gap: float, width: float) -> bool:
-    """Whether an image is too narrow for two columns of panels with these sizes (k, 2)."""
+    """Returns whether an image is too narrow for two columns of panels with these sizes (k, 2)."""
     return bool(2 * (float(sizes[:, 0].max(initial=0.0)) + gap) > width)
 
 

@@ -87,7 +87,10 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns labels below visible points, and their indices; None if no point is visible."""
+    """Returns labels below the visible points of `places`, shape (k, 3), and their indices.
+
+    Returns None if no point is visible.
+    """
     pixels, depth = view.project(places)
     visible = view.sees(pixels, depth).nonzero()[0]
     if not len(visible):

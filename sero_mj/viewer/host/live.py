@@ -36,7 +36,7 @@ from .pointer import Pointer
 
 log = logging.getLogger(__name__)
 
-_JUMP = 1.0  # s
+_JUMP = 1.0  # step of the keys for back and forward, s
 SECTION = "section "  # prefix of section names in a layout
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s
 
@@ -49,11 +49,11 @@ class LiveHost(ABC):
 
     Attributes:
         joint: index of the selected joint in the world.
-        command: arguments of a command that shows this scene; those of the scene if None.
+        command: arguments of the command that shows this scene; None for the scene's arguments.
         notice: last message to the user.
         folds: open or closed sections, shared by all panels, see `Widgets`.
-        work: time that sero-mj spent on the last frame without rendering, s: input, sources,
-            decor, plots and panels.
+        work: time spent on input, sources, decor, plots and panels in the last frame, without
+            rendering, s.
     """
 
     decor: SceneDecor
@@ -187,7 +187,7 @@ class LiveHost(ABC):
     # ---- messages, panel and keys
 
     def say(self, text: str, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds; an empty text removes the last message."""
+        """Shows a message for a few seconds; an empty string removes the last message."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
@@ -223,7 +223,7 @@ class LiveHost(ABC):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Visibility of status line, panel and areas, and whether sections are open, by name."""
+        """Whether status line, panel and areas are shown and sections are open, by name."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
         return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
@@ -246,7 +246,8 @@ class LiveHost(ABC):
         state = self.view_state()
         for of_tool in self.tools.call_all(lambda tool: tool.render_words()):
             words += of_tool
-        if not self.decor.fixed:  # by a photo in the background, which no option reproduces
+        # If a photo in the background fixes the camera, no option reproduces the camera.
+        if not self.decor.fixed:
             words += ["--camera", state.camera]
         for name, digits in state.switches.items():
             words += ["--show", f"{name}={digits}"]

@@ -19,9 +19,9 @@ class OtherScenes:
     """Closes a window or page when its user opens another scene.
 
     Attributes:
-        offers: functions that open a scene, by the label of their button; a result of None closes
-            the viewer without another scene.
-        opener: opens a dropped file; None if files cannot be opened.
+        offers: mapping from button labels to functions that open a scene. If a function returns
+            None, the viewer closes without opening another scene.
+        opener: function that opens a dropped file; None if files cannot be opened.
         chosen: mirror of the scene to show next, if any.
         request: request of the scene's file to run programs that are not allowed yet, if any.
         asks: whether the dialog about the request is shown.
@@ -51,7 +51,8 @@ class OtherScenes:
         """Shows the dialog about the programs of a file.
 
         Args:
-            allowed: returns the mirror that simulates the file after the user has allowed it.
+            allowed: function that returns a mirror that simulates the file, called after the user
+                has allowed the programs.
         """
         self.request, self._allowed, self.asks = request, allowed, True
 
@@ -71,7 +72,7 @@ class OtherScenes:
             self._open(self._allowed)
 
     def open_file(self, path: Path) -> bool:
-        """Opens a scene, robot or recording, or shows an error; returns whether it opens."""
+        """Opens a scene, robot or recording; shows an error and returns False if this fails."""
         opener = self.opener
         if opener is None:
             self._say(f"{path.name}: only `sero-mj view` opens dropped files", True)

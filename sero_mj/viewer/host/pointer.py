@@ -17,7 +17,7 @@ from ..session.tool import Grab, Shown, Tool, Tools
 
 OnClick = Callable[[Picked | None, str], None]
 
-_OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items
+_OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items that belong to a joint
 
 
 @dataclass
@@ -34,7 +34,7 @@ class ClickDetector:
     def press(
         self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
     ) -> Gesture:
-        """Performs the action of a press of the button and returns its gesture."""
+        """Performs the action of a press of the mouse button, and returns the gesture."""
         apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
         second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
         if second and not shift:
@@ -68,7 +68,7 @@ class Pointer:
         self._clicks = ClickDetector(shown.world, shown.toggles)
 
     def hover(self, *, is_free: bool) -> bool:
-        """Shows the name of the item under the pointer; returns whether there is a handle.
+        """Shows the name of the item under the pointer; returns whether a handle is there.
 
         Args:
             is_free: whether nothing is dragged and no panel is under the pointer.
@@ -81,7 +81,7 @@ class Pointer:
         return any(shown.tools.call_all(lambda tool: tool.hover(at)))
 
     def follow(self) -> str:
-        """Makes the camera follow the frame under the pointer; stops if there is none."""
+        """Makes the camera follow the frame under the pointer, or stop if no frame is there."""
         shown = self._shown
         picked = None if self.at is None else shown.decor.pick(shown.data, self.at)
         is_frame = picked is not None and picked.name in shown.world.frames.names
@@ -91,7 +91,7 @@ class Pointer:
         """Performs the action of a click.
 
         Args:
-            picked: clicked item; the item at the pixel if None.
+            picked: clicked item; None for the item at the clicked pixel.
         """
         shown, at = self._shown, (clicked.x, clicked.y)
         if clicked.center:
@@ -124,12 +124,13 @@ class Dragging:
     """Passes drags to the tools.
 
     Args:
-        say: shows a message, and whether it is an error; an empty text removes the last message.
+        say: function that shows a message; its second argument is whether the message is an error.
+            An empty string removes the last message.
     """
 
     def __init__(self, tools: Tools, say: Callable[[str, bool], None]) -> None:
         self._tools, self._say = tools, say
-        self._tool: Tool | None = None  # that handles the current drag
+        self._tool: Tool | None = None  # the tool that handles the current drag
         self._trouble = ""
         self._tried: Pixel | None = None  # start of the last drag that was searched for a handle
         self._is_refused = False
@@ -145,7 +146,7 @@ class Dragging:
             pressed: pixel where the left button was pressed, with or without Ctrl.
 
         Returns:
-            whether a tool has handled it, so that the camera does not move.
+            whether a tool has handled the event; the camera then does not move.
         """
         if self._tool is not None and moved.how == "zoom":
             text = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))

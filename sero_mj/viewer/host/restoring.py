@@ -1,4 +1,4 @@
-"""Saves the view of a window or page when it is closed, and restores it at the next start."""
+"""Saves the view when a window or page is closed, and restores the view at the next start."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def restore(host: LiveHost, *, with_camera: bool = True) -> None:
 
 
 def show_state(host: LiveHost, state: ViewState) -> None:
-    """Applies a view, and reports the first setting that does not fit the scene."""
+    """Applies a view to a window or page, and reports the first setting that does not fit."""
     camera, joint, errors = apply_state(host.world, host.toggles, state)
     if camera is not None:
         copy_camera(camera, host.view_camera)

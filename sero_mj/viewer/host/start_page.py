@@ -28,7 +28,7 @@ from ..session.status_line import Message, Mood
 
 log = logging.getLogger(__name__)
 
-# Opens the chosen scene; the page shows a SeroError.
+# Function that opens the chosen scene. The page shows the message of a SeroError.
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
@@ -48,10 +48,10 @@ _ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s
 
 
 class Tile(NamedTuple):
-    """An item that can be opened.
+    """An item of the start page that the user can open.
 
     Attributes:
-        about: one line of description.
+        about: one-line description.
         image: image file, if any.
     """
 
@@ -62,7 +62,7 @@ class Tile(NamedTuple):
 
 
 class Section(NamedTuple):
-    """Tiles below a title."""
+    """A titled group of tiles."""
 
     title: str
     tiles: list[Tile]
@@ -132,9 +132,9 @@ class ExpectedPackets(NamedTuple):
     """The packets that scenes expect at one address.
 
     Attributes:
-        views: views that show packets of a size, by size, bytes.
-        rates: received packets per second, by size, bytes.
-        trouble: why no packets can be received; empty if they can.
+        views: mapping from packet sizes in bytes to the views that show packets of this size.
+        rates: mapping from packet sizes in bytes to the number of packets received per second.
+        trouble: reason why no packets can be received at the address, or an empty string.
     """
 
     where: str
@@ -144,14 +144,14 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """Command that sends such packets; empty if packets arrive, or cannot be received."""
+        """Command that sends example packets; empty if packets arrive or cannot be received."""
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"
 
     @property
     def packets(self) -> str:
-        """Sizes of packets, and the scenes that show them."""
+        """Expected packet sizes, with the scenes that show packets of each size."""
         parts: list[str] = []
         for size, views in sorted(self.views.items()):
             names = ", ".join(Path(view.scene).name for view in views)
@@ -182,13 +182,13 @@ class ExpectedPackets(NamedTuple):
 
 
 class _Place:
-    """An address, and the counts of its packets by size."""
+    """An address, and the numbers of packets received there, by packet size."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.views: dict[int, list[RecentView]] = {}  # by size of packets
+        self.views: dict[int, list[RecentView]] = {}  # by packet size
         self.trouble = ""
-        self._counts: dict[int, Counter[int]] = {}  # packets by second, by size
+        self._counts: dict[int, Counter[int]] = {}  # packets in each second, by packet size
         self._last: dict[int, float] = {}
 
     def open(self) -> None:
@@ -272,7 +272,7 @@ def _sources(scene: str) -> list[Source]:
 
 
 class StartPage:
-    """The contents of the start page, and what its user has chosen.
+    """The contents of the start page, and the scene that the user has chosen.
 
     Attributes:
         chosen: mirror of the opened scene, if any.
@@ -300,7 +300,7 @@ class StartPage:
         return [section for section in found if section.tiles]
 
     def choose(self, what: RecentView | Path) -> None:
-        """Requests that `open_next` opens a view or file; can be called from any thread."""
+        """Requests a view or file, which `open_next` opens; can be called from any thread."""
         name = what.name if isinstance(what, Path) else Path(what.replay or what.scene).name
         self.notice = Message(f"opening {name} ...", until=time.monotonic() + _OPENING_TIME)
         self._wanted.put(what)

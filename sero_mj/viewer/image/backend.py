@@ -168,7 +168,7 @@ def _refuse_context(*_: int) -> None:
 
 
 def has_display() -> bool:
-    """Whether there is a display for windows."""
+    """Returns whether there is a display for windows."""
     if sys.platform != "linux":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
@@ -180,7 +180,7 @@ def _headless_backend() -> str:
 
 
 def has_egl() -> bool:
-    """Whether EGL, OpenGL and a driver are installed; `check` tests whether they work."""
+    """Returns whether EGL, OpenGL and a driver are installed. `check` tests whether they work."""
     libraries = _libraries()
     # PyOpenGL loads GL functions from one of these two libraries.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
@@ -190,7 +190,7 @@ def has_egl() -> bool:
 
 
 def has_osmesa() -> bool:
-    """Whether the off-screen Mesa library is installed."""
+    """Returns whether the off-screen Mesa library is installed."""
     return any(name.startswith("libOSMesa.so") for name in _libraries())
 
 

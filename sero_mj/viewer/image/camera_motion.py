@@ -24,9 +24,10 @@ _MAX_KEYS = 10_000
 
 
 class CameraKey(Declaration):
-    """Pose of a camera at a time of a video. Missing values are interpolated between other keys.
+    """Pose of the camera at one time of a video.
 
-    Values that no key declares are those of the view.
+    Missing values are interpolated between other keys. Values that no key declares are those of the
+    view.
 
     Attributes:
         time: time since the start of the video, s.
@@ -113,7 +114,7 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMotion:
-    """Returns a rotation about the look-at point at constant speed, starting at the current pose.
+    """Returns a camera motion about the look-at point, at constant speed, from the current pose.
 
     Args:
         degrees: total increase of the azimuth after `duration`; negative for the other direction.

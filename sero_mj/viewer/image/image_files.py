@@ -65,7 +65,7 @@ def check_video(path: Path | str) -> Path:
 
 
 def default_fps(path: Path | str) -> float:
-    """Returns the default frames per second of a video file."""
+    """Returns the default number of frames per second of a video file."""
     return VIDEO_FORMATS[check_video(path).suffix.lower()].fps
 
 

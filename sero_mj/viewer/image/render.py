@@ -99,7 +99,7 @@ def offscreen_size(
 
 
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
-    """MuJoCo's OpenGL renderer as a `SceneRenderer`."""
+    """MuJoCo's OpenGL renderer with the interface of a `SceneRenderer`."""
 
     def follow(self, data: mujoco.MjData) -> None: ...
 

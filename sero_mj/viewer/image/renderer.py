@@ -74,7 +74,7 @@ def choose_renderer(wanted: str | None, quality: Quality, width: int, height: in
     """Returns the name of the renderer for an image, and warns if the wanted one is unavailable.
 
     Raises:
-        RenderError: there is no such renderer.
+        RenderError: no renderer has the name `wanted`.
     """
     if wanted == CLASSIC or (wanted is None and quality != "fine"):
         return CLASSIC  # without importing extensions

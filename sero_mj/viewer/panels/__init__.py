@@ -1,8 +1,8 @@
-"""The panels of windows and pages, written once for both.
+"""The panels of windows and pages, which share one implementation.
 
-In: a window or page, and its switches. Out: changes of these.
-Open first: `../tools/model_view.py`, a short panel of its own. To add a panel, write such a tool: a
-subclass of `Tool` whose method `build(ui)` calls the methods of `session.widgets.Widgets`, with an
-entry point in the group `sero_mj.tools`. Windows draw the widgets with `imgui_widgets.py`, and
+In: a window or page, and its switches. Out: changes of the switches.
+Open first: `../tools/model_view.py`, a short example of a panel. To add a panel, write a subclass
+of `Tool` whose method `build(ui)` calls the methods of `session.widgets.Widgets`, and declare an
+entry point in the group `sero_mj.tools`. `imgui_widgets.py` draws the widgets in windows, and
 `dom_widgets.py` turns them into HTML elements of pages.
 """

@@ -1,4 +1,4 @@
-"""The dialogs: the help, and the request of a file to run programs (see `base.trust`)."""
+"""The help dialog, and the dialog about a file that requests to run programs (`base.trust`)."""
 
 from __future__ import annotations
 
@@ -69,11 +69,11 @@ def build_request(
     allow: Callable[[], object],
     dismiss: Callable[[], object],
 ) -> None:
-    """Builds the dialog.
+    """Builds the dialog about the programs of a file.
 
     Args:
-        can_allow: whether the user may allow the request: only on the machine that runs the
-            programs.
+        can_allow: whether the user can allow the request, which is possible only on the machine
+            that runs the programs.
     """
     ui.text(f"{printable(without_temporary(str(request.file)))} is displayed but not simulated.")
     ui.text("Simulating it would run the following on your computer, with your permissions:")

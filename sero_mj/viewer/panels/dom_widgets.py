@@ -1,7 +1,7 @@
 """`DomWidgets`: the widgets of pages, as a tree of nodes that the browser shows as HTML elements.
 
-A panel is built again for every update, as in windows. User actions are stored until the widget is
-built next, which returns them.
+A panel is built again for every update, as in windows. A user action is stored until its widget is
+built again, and that call returns the action.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class _Tree:
         self._next: Node = {}  # keys of the next node
 
     def act(self, id_: str, value: Any) -> None:
-        """Stores what the user did with a widget; ignores unknown ids."""
+        """Stores the user's action on a widget; ignores unknown ids."""
         if id_ in self._widgets:
             self._done[id_] = value
 
@@ -92,10 +92,10 @@ class _Tree:
 
 
 class DomWidgets(_Tree):
-    """Implements `Widgets`; `js/src/panels.js` reads the nodes.
+    """Implements `Widgets` as nodes, which `js/src/panels.js` reads.
 
     Args:
-        to_clipboard: copies a text to the clipboard of the browser in control.
+        to_clipboard: function that copies text to the clipboard of the browser in control.
     """
 
     points, interval = 320, 1.0 / 15.0

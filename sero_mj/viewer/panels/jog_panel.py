@@ -1,4 +1,4 @@
-"""`JogPanel`: joint sliders of robots that are moved by hand, and their poses to type and copy."""
+"""`JogPanel`: joint sliders of robots that the user moves, with fields to type and copy poses."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
 UNITS = ("deg", "rad")
-_MAX_SECTIONS, _MAX_OPEN = 3, 2  # robots with own sections, and sections that are initially open
+_MAX_SECTIONS, _MAX_OPEN = 3, 2  # robots with separate sections, and initially open sections
 # Widths of columns and of a character, in text heights.
 _MIN_NAME, _MAX_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
 _POSE = (("x", 0), ("y", 1), ("z", 2), ("roll", 0), ("pitch", 1), ("yaw", 2))
@@ -25,7 +25,7 @@ def build_each(
     """Builds a section for each robot, or one section with a tree if there are many robots.
 
     Args:
-        verb: first word of the titles.
+        verb: first word of the section titles.
     """
     are_many = len(names) > _MAX_SECTIONS
     if are_many and not ui.header(f"{verb} {len(names)} robots"):
@@ -43,10 +43,10 @@ def build_each(
 class JointSliders:
     """Sliders and number fields of the joints of a robot, in a tree if the robot branches.
 
-    A button for the declared pose and the choice of the unit are below.
+    A button for the declared pose and the choice of the unit are below the sliders.
 
     Attributes:
-        unit: index in `UNITS`, the same for all robots.
+        unit: index of the unit in `UNITS`; all robots have the same unit.
     """
 
     def __init__(self) -> None:
@@ -88,7 +88,7 @@ class JointSliders:
             ui.disable(is_off=joint not in free)
             ui.width(0.0)
             value = factor * float(angles[joint])
-            # Without the number, which is in the field.
+            # The slider shows no number, because the number is in the field beside it.
             moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, "")
             ui.tip(f"{name}: {factor * low:.4g} to {factor * high:.4g} {unit}")
             ui.cell()
@@ -101,7 +101,7 @@ class JointSliders:
 
 
 def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
-    """Builds a tree with the pose of the flange relative to its base, m and degrees, to type.
+    """Builds a tree of number fields with the flange pose relative to the base, m and degrees.
 
     Args:
         base: T_world_base (4, 4), m.
@@ -134,7 +134,7 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
 
 
 class JogPanel:
-    """The panel of robots that are moved by hand."""
+    """The panel of the robots that the user moves."""
 
     def __init__(
         self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]

@@ -17,7 +17,7 @@ from ..session.widgets import Widgets
 _SEARCHABLE = 8  # more joints are shown with a search field
 _MAX_FOUND = 60  # joints in the result of a search
 _MAX_OPEN = 3  # robots whose sections are initially open
-_MAX_SCALE = 3.0  # maximum factor of a declared size
+_MAX_SCALE = 3.0  # maximum factor by which a slider scales a declared size
 _FLAG_NAMES = {
     "legend": "legend",
     "status": "errors of the sources",
@@ -32,7 +32,7 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
     """Returns the tree of robots and doubles, each in the first of its groups.
 
     Returns:
-        members by group, and everything that is in no group: groups, robots, doubles.
+        mapping from groups to members, and the top level: everything that is in no group.
     """
     scene = world.scene
     declared = {name: group.robots for name, group in scene.groups.items()} | scene.double_groups
@@ -47,7 +47,7 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def build_handle(ui: Widgets, key: str) -> bool:
-    """Builds the button that opens the panel; returns whether it was pressed."""
+    """Builds the button that opens the panel; returns whether the button was pressed."""
     is_pressed = ui.button("panel")
     ui.tip(f"switches, sources and sizes ({key})")
     return is_pressed
@@ -62,7 +62,7 @@ class RobotPanel:
         world: the compiled scene, whose sizes are changed in place.
 
     Attributes:
-        on_select: called with a joint when it is clicked.
+        on_select: called with the joint that the user clicks.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
@@ -71,7 +71,7 @@ class RobotPanel:
         self.on_select: Callable[[int], None] = lambda joint: None
         joints, frames = world.joints, world.frames
         self._members, self._tops = tree_of_owners(world)
-        # Label, scaled array, kind of its rows, and declared values.
+        # Label, scaled array, kind of the array's rows, and declared values.
         self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),

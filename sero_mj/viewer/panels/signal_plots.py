@@ -23,7 +23,7 @@ _HINT = "add or remove a signal"
 _SHOWN = " (shown)"
 # Lengths in units of the text height.
 _TARGET, _GROUP = 7.0, 7.0  # widths of drop-down lists
-_MIN_HEIGHT = 8.0  # of a plot; the area scrolls if there are more
+_MIN_HEIGHT = 8.0  # minimum height of a plot; the area scrolls if there is not enough space
 
 
 class SignalPlots:
@@ -32,7 +32,7 @@ class SignalPlots:
     def __init__(self, signals: PlotSignals) -> None:
         self._signals = signals
         self.shown: list[list[PlotSignal]] = []
-        self._target, self._group = 0, 0  # chosen in the lists
+        self._target, self._group = 0, 0  # plot and group that are chosen in the lists
         self._plots: list[Plot] = []
         self._built: list[list[PlotSignal]] = []  # signals of `_plots`
         self._when = float("-inf")
@@ -46,10 +46,12 @@ class SignalPlots:
             self.shown.append([signal])
 
     def toggle(self, plot: int, signal: PlotSignal) -> str:
-        """Adds a signal to a plot, or to a new last plot, or removes it from the plot.
+        """Adds a signal to a plot, or removes the signal if the plot already shows it.
+
+        If there is no plot with this index, the signal is added to a new plot.
 
         Returns:
-            why it cannot be added; empty if it can.
+            reason why the signal cannot be added, or an empty string.
         """
         if plot >= len(self.shown):
             if len(self.shown) == MAX_PLOTS:
@@ -67,7 +69,7 @@ class SignalPlots:
         return ""
 
     def build_choice(self, ui: Widgets) -> str:
-        """Builds the lists of plots, groups and signals; returns an error or an empty text."""
+        """Builds the lists of plots, groups and signals; returns an error or an empty string."""
         groups = self._signals.groups
         if not groups:
             return ""

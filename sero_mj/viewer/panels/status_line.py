@@ -1,4 +1,4 @@
-"""Status line, timeline, and the section of the panel with the sources and their counters."""
+"""Status line, timeline, and the panel section that lists the sources with their counters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..session.clock import SPEEDS, Clock, Tick, time_text
 from ..session.status_line import Mood, Piece, clock_text, source_text
 from ..session.widgets import Widgets
 
-_GAP = 1.4  # between parts, in text heights
+_GAP = 1.4  # gap between parts, in text heights
 _READABLE = 0.25  # minimum time for which a number is shown, s
 
 
@@ -78,11 +78,11 @@ class SourcesPanel:
 
 # Widths, in text heights.
 _PAUSE, _SPEED = 3.4, 4.6
-_NARROW = 30.0  # a narrower timeline has no choice of the speed
+_NARROW = 30.0  # a narrower timeline has no list of speeds
 
 
 def build_timeline(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
-    """Builds the timeline with its buttons in one line."""
+    """Builds the timeline and its buttons, in one line."""
     is_wide = ui.room()[0] >= _NARROW
     is_still = clock.is_paused or clock.is_at_end
     if ui.button(f"{'play' if is_still else 'pause'}###pause", _PAUSE):

@@ -1,4 +1,4 @@
-"""`TorquePlots`: measured and commanded torques of a joint over time, and their error."""
+"""`TorquePlots`: measured and commanded torque of a joint over time, and the torque error."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ _COMMANDED: Rgb = (1.0, 0.62, 0.18)
 _ERROR: Rgb = (0.75, 0.88, 0.45)
 _MIN_RANGE = 0.5  # half of the range, in the joint's unit
 # Lengths in units of the text height.
-_NAMES, _BESIDE = 11.0, 8.0  # widths of the list of joints, and of the text beside it
+_NAMES, _BESIDE = 11.0, 8.0  # widths of the list of joints, and of the text beside the list
 _ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
-_SHARE = 0.56  # of the height, for the torques
-_MIN_HEIGHT = 4.0  # of a plot
+_SHARE = 0.56  # fraction of the height for the torques
+_MIN_HEIGHT = 4.0  # minimum height of a plot
 _NOTE = 2.2  # height of the text that replaces the plot of the error
 
 
@@ -95,16 +95,16 @@ def _without(what: str, torques: Plot) -> str:
 
 
 _NEAR = 0.8  # values beyond this fraction of the limit bring the limit into view
-_MARGIN = 1.15  # visible range, relative to that of the values
-_MIN_RATIO = 1e-3  # of half the range to its center
+_MARGIN = 1.15  # visible range, relative to the range of the values
+_MIN_RATIO = 1e-3  # half of the range, relative to the center of the range
 
 
 def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float) -> Plot:
     """Returns a plot of the last seconds.
 
     Args:
-        limit: marked magnitude, inf for none.
-        least: minimum half range.
+        limit: magnitude of the limit, which is marked; inf for no limit.
+        least: minimum half range of the y axis.
     """
     values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
     return Plot("s", label, lines, (-SPAN, 0.0), y_range(values, limit, least), (limit, -limit))
@@ -124,10 +124,11 @@ def with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
 
 
 def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
-    """Returns lower and upper end of the y axis, rounded so that they rarely change.
+    """Returns the lower and upper end of the y axis, rounded so that the axis rarely changes.
 
     Args:
-        limit: magnitude, inf for none; it is visible if values come close to it.
+        limit: magnitude of the limit, inf for no limit. The range includes the limit if values
+            are close to it.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)

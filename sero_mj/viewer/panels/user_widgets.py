@@ -1,7 +1,7 @@
-"""The widgets that a program adds to a viewer: slider, number, check box, choice, button and text.
+"""Widgets that a program adds to a viewer: slider, number, check box, choice, button and text.
 
-The program creates and checks a widget, and the viewer builds it in another process. A new kind is
-a class here and a method of `program.panels.UserPanel`.
+The program creates and validates a widget, and the viewer builds the widget in another process. A
+new kind needs a class here and a method of `program.panels.UserPanel`.
 """
 
 from __future__ import annotations
@@ -40,10 +40,10 @@ def to_number(label: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class UserWidget(Generic[Value]):
-    """A widget without state.
+    """Base class of the widgets, which have no state.
 
     Attributes:
-        label: unique in its panel.
+        label: displayed label, unique in the panel.
     """
 
     label: str
@@ -52,7 +52,7 @@ class UserWidget(Generic[Value]):
         check_label("label", self.label)
 
     def checked(self, value: object) -> Value:
-        """Returns a value that the widget can have, or raises UsageError."""
+        """Returns the value in the type of the widget; raises UsageError if it is invalid."""
         raise NotImplementedError
 
     def build(self, ui: Widgets, value: Value) -> object:
@@ -60,7 +60,7 @@ class UserWidget(Generic[Value]):
         raise NotImplementedError
 
     def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """Returns the arguments of each call of the callback after a change."""
+        """Returns the arguments of each callback call that a change causes."""
         return [(now,)]
 
 
@@ -155,7 +155,7 @@ class ChoiceWidget(UserWidget[str]):
 
 @dataclass(frozen=True)
 class TextWidget(UserWidget[str]):
-    """A text, which only the program changes."""
+    """A line of text that only the program can change."""
 
     def checked(self, value: object) -> str:
         return str(value)
@@ -188,7 +188,7 @@ class WidgetState(NamedTuple):
     """A widget in a message to the viewer.
 
     Attributes:
-        number: number of the program's last change.
+        number: number of the last change by the program.
         order: position in the panel.
     """
 

@@ -1,6 +1,6 @@
-"""Collects what a player shows of a scene, without OpenGL: poses, values and decor of each frame.
+"""Captures poses, values and decor of each frame of a scene for the player, without OpenGL.
 
-The player itself places everything that depends on the camera, such as billboards.
+The player places everything that depends on the camera, such as billboards.
 """
 
 from __future__ import annotations
@@ -37,10 +37,10 @@ from .model import visible_geoms
 from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
-DEFAULT_SECONDS = 10.0  # for sources without an end
-MAX_BYTES = 128_000_000  # of a run in the memory of a browser
+DEFAULT_SECONDS = 10.0  # duration of a run whose sources have no end
+MAX_BYTES = 128_000_000  # maximum size of a run in the memory of a browser
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # for round arrows at frames; the player draws those of joints
+_ARROW_GEOMS = 24  # for round arrows at frames; the player draws the round arrows of joints
 _SIZE = (1280, 800)  # pixels; some decor depends on the size of the image
 
 
@@ -51,9 +51,9 @@ class Mark:
     Attributes:
         begin: time since the start of the page, s.
         end: end of the event, s; equal to `begin` for an instant.
-        text: description.
-        kind: `push` or `fault` of a scenario, `finding` of a monitor, `bookmark` of a user, or
-            whether an expectation has `held` or `failed`.
+        text: description of the event.
+        kind: `push` or `fault` (scenario), `finding` (monitor), `bookmark` (user), `held` or
+            `failed` (expectation).
     """
 
     begin: float
@@ -67,10 +67,10 @@ class DecorItem:
     """A geom of decor in F frames.
 
     Attributes:
-        kind: kind of its item.
-        item: index of its item, see `Kind`.
-        rows: the geom in each frame, (F,) of `GEOM`.
-        visible: whether it is drawn in each frame, (F,) bool.
+        kind: kind of the item that the geom belongs to.
+        item: index of the item, see `Kind`.
+        rows: state of the geom in each frame, shape (F,), dtype `GEOM`.
+        visible: whether the geom is drawn in each frame, shape (F,), bool.
     """
 
     kind: Kind
@@ -81,24 +81,26 @@ class DecorItem:
 
 @dataclass(eq=False)
 class CapturedRun:
-    """A scene in F frames for a player; arrays as in `CapturedFrame`, frames first.
+    """F frames of a scene for the player.
+
+    Arrays are those of `CapturedFrame` with an additional first axis for the frames.
 
     Attributes:
         fps: frames per second.
         begin: time of the first frame, s.
         toggles: initial switches.
         camera: initial camera.
-        lines: lines of each joint's billboard, (N,).
-        details: lines of all values of each joint, (N,).
+        lines: billboard lines of each joint, length N.
+        details: lines with all values of each joint, length N.
         bodies: ids of the visible bodies, (B,).
-        copies: bodies of doubles, (G,); they follow the others in poses, opacity and grayness.
-        limit: value of an arrow of full width, (N,); inf for none.
-        arrow_texts: texts of each smart arrow by frame, by its index.
+        copies: bodies of doubles, length G. In poses, opacity and grey, they come after `bodies`.
+        limit: value at which an arrow has full width, shape (N,); inf for no limit.
+        arrow_texts: mapping from the indices of smart arrows to a list with one text per frame.
         silent: names of the sources without data.
-        meanings: meanings of labels on billboards, such as the file that `A` stands for.
-        needed: aspect ratio that the camera needs, see `needed_aspect`; that of the declared pose
-            if None.
-        path: displacement of the free camera that follows a frame, (F, 3), m; None if it does not.
+        meanings: mapping from labels on billboards to meanings, such as `A` to a file name.
+        needed: aspect ratio that the camera needs, see `needed_aspect`; None for the aspect ratio
+            of the declared pose.
+        path: displacement of the free camera, shape (F, 3), m; None if it follows no frame.
     """
 
     world: WorldView
@@ -144,7 +146,7 @@ class CapturedRun:
 
 
 class FrameCapturer:
-    """Captures states of a world one by one; the player draws the arrows of joints."""
+    """Captures states of a world one by one, without the joint arrows, which the player draws."""
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
         self._world, self._camera = world, camera
@@ -196,7 +198,7 @@ class FrameCapturer:
         toggles: Toggles | None = None,
         needed: float | None = None,
     ) -> CapturedRun:
-        """Returns frames as a run, with the declared switches if `toggles` is None."""
+        """Returns captured frames as a run, with the declared switches if `toggles` is None."""
         world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
@@ -248,21 +250,21 @@ def capture(
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
 ) -> CapturedRun:
-    """Collects a scene as it moves; live sources in real time, others as fast as possible.
+    """Captures a moving scene: live sources in real time, other sources as fast as possible.
 
     Args:
         scene: scene to capture.
-        seconds: maximum duration; up to the end of the sources if None.
+        seconds: maximum duration, s; None for the duration of the sources.
         begin: time of the first frame, s; 0 for live sources.
         fps: frames per second.
-        camera: see `find_camera`.
-        follow: frame that the free camera follows, see `Follower`; that of the scene if None.
+        camera: initial camera, see `find_camera`.
+        follow: frame that the free camera follows, see `Follower`; None for the scene's setting.
         wait: maximum time to wait for the first packet of each source, s.
         marks: marks on the timeline.
-        on_progress: called with the numbers of finished frames and of all frames.
+        on_progress: called with the number of finished frames and the total number of frames.
 
     Raises:
-        SeroError: a problem of the scene, its sources or the camera; or the run is too long.
+        SeroError: the scene, a source or the camera has a problem, or the run is too long.
     """
     with Mirror(scene) as mirror:
         world = mirror.world
@@ -300,13 +302,13 @@ def capture_pose(
     camera: mujoco.MjvCamera,
     needed: float | None = None,
 ) -> CapturedRun:
-    """Captures one pose without decor and values, which a server sends with each frame."""
+    """Captures one pose without decor and values, because a server sends these with each frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 
 
 def longest(world: World, fps: float) -> float:
-    """Returns the maximum duration of a page of a world, s."""
+    """Returns the maximum duration of a page that shows a world, s."""
     of_frame = 28 * len(shown_bodies(world)) + 32 * len(world.joints.names) + 64
     return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
@@ -340,7 +342,7 @@ def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) 
 
 
 def _hold_last(poses: Array, far: Bools) -> None:
-    """Replaces missing poses of bodies by their last or next known pose."""
+    """Replaces each missing pose of a body by the last known pose, or else by the next one."""
     for b in np.flatnonzero(far.any(axis=0)):
         there = np.flatnonzero(~far[:, b])
         if not len(there):
@@ -351,7 +353,7 @@ def _hold_last(poses: Array, far: Bools) -> None:
 
 
 def _continuous(rotations: Array) -> Array:
-    """Returns quaternions whose signs do not jump between frames."""
+    """Returns the quaternions with signs that do not jump between frames."""
     signs = np.where((rotations[1:] * rotations[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     rotations[1:] *= np.cumprod(signs, axis=0)[..., None]
     return rotations
@@ -360,9 +362,10 @@ def _continuous(rotations: Array) -> Array:
 def _lines(
     world: WorldView, values: dict[str, Array], toggles: Toggles
 ) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
-    """Returns the billboard lines of each joint, and the lines of all its values.
+    """Returns the billboard lines of each joint, and the lines with all values of each joint.
 
-    If torques are available, they replace angles; the displayed quantity of arrows replaces them.
+    If torques are available, a single line with the angle or torque shows the quantity of the
+    arrow: torque or torque error.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)

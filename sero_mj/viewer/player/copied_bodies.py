@@ -19,8 +19,8 @@ class CopiedBody(NamedTuple):
     Attributes:
         name: name such as `goal/lower`.
         double: index of the double.
-        row: row of a path; 0 for a double with one pose.
-        body: id of the robot's body that provides the geoms.
+        row: row of the path that the double shows; 0 for a double with one pose.
+        body: id of the body of the robot that provides the geoms.
         rgba: color of the geoms, (4,).
     """
 
@@ -32,7 +32,7 @@ class CopiedBody(NamedTuple):
 
 
 class CopiedBodies:
-    """The G bodies of all doubles that are not compiled into the model."""
+    """The bodies, G in total, of all doubles that are not compiled into the model."""
 
     def __init__(self, world: WorldView) -> None:
         model, self.each = world.model, list[CopiedBody]()
@@ -57,10 +57,11 @@ class CopiedBodies:
         """Returns the poses of all bodies in a frame.
 
         Args:
-            drawn: doubles of the frame, with the rows of a path in their order.
+            drawn: doubles of the frame, with the rows of a path in ascending order.
 
         Returns:
-            positions (G, 3), m, unit quaternions (G, 4), and opacity factors (G,), 0 if not drawn.
+            positions (G, 3), m, unit quaternions (G, 4), and opacity factors (G,), which are 0 for
+            bodies that are not drawn.
         """
         count = len(self.each)
         places, turns, opacity = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros(count)

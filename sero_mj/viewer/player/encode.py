@@ -25,8 +25,8 @@ from .packing import PackedArrays, poses, rounded
 from .surroundings import surroundings_head
 
 VERSION = 1
-METRE_STEP = 5e-5  # m
-ROTATION_STEP = 1 / 16384  # of a component of a unit quaternion
+METRE_STEP = 5e-5  # resolution of positions, m
+ROTATION_STEP = 1 / 16384  # resolution of the components of unit quaternions
 _SWITCHABLE = ("torques", "torque_error")  # quantities between which arrows can switch
 
 
@@ -97,9 +97,9 @@ def _index(capture: CapturedRun, body: int) -> int:
 
 
 def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
-    """Returns name, joint and double of each body, -1 for none.
+    """Returns the name of each body and the indices of its joint and double, -1 for none.
 
-    `moves` is false for bodies that nothing can move, as in MuJoCo.
+    `moves` is false for static bodies, as in MuJoCo.
     """
     world, found = capture.world, []
     doubles = list(world.doubles)
@@ -182,7 +182,7 @@ def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns the parameters of each joint's arrow for `widthOf` of the player."""
+    """Returns the parameters of each joint's arrow for the player's function `widthOf`."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -237,10 +237,10 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
-    """Returns the quantities that arrows can switch to, the current one first; empty for no choice.
+    """Returns the quantities that arrows can show, the current one first; empty for no choice.
 
-    Torque and torque error can be switched if both values are recorded. The error between two runs
-    cannot be switched.
+    Arrows can switch between torque and torque error if both are recorded. Arrows that show the
+    error between two runs cannot be switched.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -286,7 +286,7 @@ def _type(item: Any) -> int:
 
 
 def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
-    """Returns the legend's lines of each frame, with None for the line of the arrows' quantity."""
+    """Returns the legend of each frame, with None for the line about the arrows' quantity."""
     own = {quantity["line"] for quantity in _quantities(capture)[:1]}
     found = _texts(capture.legend, parts)
     texts = [text.split("\n") if text else [] for text in found["texts"]]
@@ -294,7 +294,7 @@ def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _texts(texts: list[str], parts: PackedArrays) -> dict[str, Any]:
-    """Returns each different text once, and the number of the text of each frame."""
+    """Returns the distinct texts, and for each frame the index of the text."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
     at = np.array([[number[text]] for text in texts])

@@ -1,4 +1,4 @@
-"""`FrameTaker`: captures a frame of decor for a player; pages send it, files store many frames."""
+"""`FrameTaker`: captures a frame of decor for the player in live pages and exported files."""
 
 from __future__ import annotations
 
@@ -22,27 +22,30 @@ from .model import drawn_bodies
 from .soft import SoftFrame, SoftParts
 
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-Labels = dict[tuple[str, int], tuple[str, Array]]  # text and position (3,), m, by kind and number
+Labels = dict[
+    tuple[str, int], tuple[str, Array]
+]  # text and position (3,), m, by kind and index of the item
 
 
 class CapturedFrame(NamedTuple):
-    """A state for a player, of B bodies, G copies and N joints.
+    """One state for the player, with B bodies, G copied bodies and N joints.
 
     Attributes:
         poses: positions in m and unit quaternions, (B + G, 7).
-        opacity: 0 for bodies out of sight, (B + G,).
-        grey: bodies with stale data, (B + G,) bool.
+        opacity: opacity factor of each body, shape (B + G,); 0 for bodies out of sight.
+        grey: whether each body has stale data, shape (B + G,), bool.
         soft: tendons and flexes.
-        values: joint values by name, (N,) each; NaN for no data.
+        values: mapping from names of quantities to the values of the joints, shape (N,), NaN for
+            no data.
         arrows: displayed values of the joints' arrows, (N,).
-        limit: value of an arrow of full width, (N,); inf for none.
-        stale: joints without recent data, (N,) bool.
-        geoms: geoms of decor without text and without the arrows that the player draws: rows of
-            `GEOM`, and kind and item of each.
-        labels: see `labels_of`.
-        note: text in the corners, without the legend.
+        limit: value at which an arrow has full width, shape (N,); inf for no limit.
+        stale: whether each joint lacks recent data, shape (N,), bool.
+        geoms: geoms of decor, without text and without the arrows that the player draws, as rows
+            of `GEOM`, with the kind and item of each row.
+        labels: labels of the frame, see `labels_of`.
+        note: text in the corners of the image, without the legend.
         legend: text of the legend.
-        arrow_texts: texts of smart arrows, by index.
+        arrow_texts: mapping from the indices of smart arrows to their texts.
     """
 
     poses: Array
@@ -61,14 +64,14 @@ class CapturedFrame(NamedTuple):
 
 
 class FrameTaker:
-    """The last feature of a decor, which captures what the others have laid out and drawn.
+    """Captures what all other features of a decor have laid out and drawn; must be the last one.
 
     Args:
-        own_arrows: joints whose arrows the player draws, (N,).
+        own_arrows: whether the player draws the arrow of each joint, shape (N,).
 
     Attributes:
-        corners: whether each text in a corner belongs to the legend, and its lines.
-        beside: texts with a pixel, except billboards.
+        corners: for each text in a corner: whether the text belongs to the legend, and the lines.
+        beside: panels of text at a pixel, except names.
     """
 
     def __init__(self, world: WorldView, own_arrows: Bools) -> None:
@@ -96,7 +99,7 @@ class FrameTaker:
         self.frame = frame
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Returns the frame that was drawn last, which must be of this state."""
+        """Returns the last drawn frame, which must show the state in `data`."""
         world, frame = self._world, self.frame
         assert frame is not None
         buffer, model = frame.buffer, world.model
@@ -146,7 +149,7 @@ class FrameTaker:
 def body_poses(
     data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, frame: Frame | None
 ) -> tuple[Array, Array]:
-    """Returns the poses of bodies and copies, (B + G, 7), and the opacity of copies, (G,).
+    """Returns poses of bodies and copied bodies, (B + G, 7), and the opacity of copies, (G,).
 
     Copies that the frame does not draw have opacity 0.
     """
@@ -166,7 +169,7 @@ def _body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
 
 
 def line_text(line: bytes) -> str:
-    """Returns a line as text; in the line of the legend's scale, text replaces the bars."""
+    """Decodes a line of text. In the line with the legend's scale, text replaces the bars."""
     text = line.decode("latin-1").rstrip()
     scale = "".join(SCALE)
     return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
@@ -192,7 +195,7 @@ def labels_of(world: WorldView, frame: Frame) -> Labels:
     found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
     rows = buffer.rows[: buffer.count]
     has_text = rows["label"] != b""
-    has_text[buffer.text] = False  # texts of panels, which the player lays out itself
+    has_text[buffer.text] = False  # text of panels, which the player lays out
     for k, row in enumerate(rows[has_text]):
         found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
     return found

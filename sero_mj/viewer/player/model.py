@@ -1,6 +1,6 @@
 """The appearance of a model: geoms, sites, meshes, materials, textures, skins and lights.
 
-Equal meshes and textures are stored once, and only if they are visible. Height fields are stored as
+Only visible meshes and textures are stored, and equal ones only once. Height fields are stored as
 meshes.
 """
 
@@ -21,15 +21,15 @@ from .packing import PackedArrays, differing, rounded
 _GROUPS = 3  # groups of geoms and sites that MuJoCo shows by default
 _DEFAULT_RGBA = np.array(
     [0.5, 0.5, 0.5, 1.0], np.float32
-)  # of geoms that have the color of their material
+)  # color of geoms whose color comes from a material
 _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _HFIELD = int(mujoco.mjtGeom.mjGEOM_HFIELD)
 _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _SDF = int(mujoco.mjtGeom.mjGEOM_SDF)
 _COLOR = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _FLAT = int(mujoco.mjtTexture.mjTEXTURE_2D)
-_FACES = 6  # of a cube texture, one below the other
-_MAX_PIXELS = 2048  # of a side of a texture; larger textures are halved
+_FACES = 6  # faces of a cube texture, one below the other
+_MAX_PIXELS = 2048  # maximum width and height of a texture; larger textures are halved
 _MESH_STEPS = 65535  # resolution of the longest side of a mesh
 _NORMAL_STEPS = 127
 _OUR_LIGHT = "key"
@@ -51,7 +51,7 @@ def visible_geoms(model: mujoco.MjModel) -> Ints:
 
 
 def geom_colors(model: mujoco.MjModel) -> Array:
-    """Returns the colors of all geoms (ngeom, 4): their own, or those of their materials."""
+    """Returns the colors of all geoms or of their materials, shape (ngeom, 4)."""
     return _colors(model, model.geom_rgba, model.geom_matid)
 
 
@@ -78,7 +78,7 @@ def _colors(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> Ar
 
 
 def our_floor(model: mujoco.MjModel) -> int | None:
-    """Returns the geom of the scene's floor, which the player draws itself, or None."""
+    """Returns the id of the floor geom of the scene, which the player draws, or None."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
     if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
         return None
@@ -134,7 +134,7 @@ def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False)
     corners, first, index = np.unique(
         np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True
     )
-    # In the order of first use, indices become small differences.
+    # Vertices in the order of first use give small differences between indices.
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -148,11 +148,11 @@ def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False)
 
 
 class Look:
-    """The appearance of a model, for the head of a page.
+    """Encodes the appearance of a model for the head of a page.
 
     Args:
-        parts: stores the arrays.
-        body_index: returns the page's number of a body id.
+        parts: storage for the arrays.
+        body_index: function that returns the page's index of a body id.
     """
 
     def __init__(
@@ -165,7 +165,7 @@ class Look:
         self._known: dict[Any, int] = {}
 
     def head(self) -> dict[str, Any]:
-        """Returns the entries of the head; rare entries only if they are not empty."""
+        """Returns the entries of the head, without rarely used entries that are empty."""
         model = self._model
         found: dict[str, Any] = {
             "meshes": self._meshes,
@@ -387,7 +387,7 @@ class Look:
         head, on = model.vis.headlight, model.light_active.astype(bool)
         is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
         at, axis, body = model.light_pos, model.light_dir, model.light_bodyid
-        if not is_fixed[on].all():  # lights that track something stay at their initial pose
+        if not is_fixed[on].all():  # lights that track a body stay at their initial pose
             data = mujoco.MjData(model)
             mujoco.mj_fwdPosition(model, data)
             at = np.where(is_fixed[:, None], at, data.light_xpos)
@@ -417,7 +417,7 @@ class Look:
 
 
 def shown_flexes(model: mujoco.MjModel) -> Bools:
-    """Returns which flexes MuJoCo draws by default, (nflex,)."""
+    """Returns a mask of the flexes that MuJoCo draws by default, shape (nflex,)."""
     if not model.nflex:
         return np.zeros(0, bool)
     return np.asarray(model.flex_group < _GROUPS)
@@ -448,7 +448,7 @@ def _halved(image: np.ndarray) -> np.ndarray:
 
 
 def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
-    """Returns an image (h, w, c), or differences of neighbors if they compress better.
+    """Returns an image (h, w, c), or differences of neighboring pixels if these compress better.
 
     The first value is the axis of the differences, -1 for none.
     """

@@ -1,8 +1,7 @@
-"""Arrays behind a JSON head, which `js/src/data.js` decodes.
+"""Encodes arrays behind a JSON head, which `js/src/data.js` decodes.
 
-Changing numbers are stored as differences in time, with the sign in the lowest bit, one channel
-after the other, and with bytes of the same significance together, so that deflate compresses them
-well.
+To compress well with deflate, changing numbers are stored as differences in time with the sign in
+the lowest bit. Channels follow one after the other, and bytes of the same significance are grouped.
 """
 
 from __future__ import annotations
@@ -18,13 +17,13 @@ _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
 class PackedArrays:
-    """Arrays behind the head, referenced by number."""
+    """Arrays behind the head, which the head references by number."""
 
     def __init__(self) -> None:
         self.arrays: list[bytes] = []
 
     def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, the type of its elements, and their count."""
+        """Adds an array; returns its number, element type and element count."""
         array = np.ascontiguousarray(array)
         planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
         self.arrays.append(planes.tobytes())
@@ -38,12 +37,12 @@ class PackedArrays:
 
 
 def folded(differences: Ints) -> Ints:
-    """Returns signed integers with the sign in the lowest bit."""
+    """Returns nonnegative integers that encode the sign of signed integers in the lowest bit."""
     return np.asarray((differences << 1) ^ (differences >> 63))
 
 
 def unsigned(numbers: Ints) -> np.ndarray:
-    """Returns nonnegative integers in the smallest unsigned type."""
+    """Converts nonnegative integers to the smallest unsigned type."""
     for kind in (np.uint8, np.uint16):
         if numbers.max(initial=0) <= np.iinfo(kind).max:
             return numbers.astype(kind)
@@ -51,13 +50,13 @@ def unsigned(numbers: Ints) -> np.ndarray:
 
 
 def rounded(numbers: Any, digits: int = 6) -> list[Any]:
-    """Returns numbers as lists, for JSON."""
+    """Returns rounded numbers as lists, for JSON."""
     found: list[Any] = (np.round(np.asarray(numbers, float), digits) + 0.0).tolist()  # no -0.0
     return found
 
 
 def differing(numbers: np.ndarray) -> np.ndarray:
-    """Returns integers (n,) as folded differences of neighbors."""
+    """Returns the folded differences between neighboring integers, shape (n,)."""
     whole: Ints = np.asarray(numbers, np.int64)
     return unsigned(folded(np.diff(whole, prepend=0)))
 
@@ -65,8 +64,8 @@ def differing(numbers: np.ndarray) -> np.ndarray:
 def poses(rows: np.ndarray) -> tuple[Array, Array]:
     """Returns quaternions, scalar first (k, 4), and sizes (k, 3), m, of rows of `GEOM`.
 
-    The sides of a triangle are not perpendicular. Its x axis is along its first side; its sizes are
-    the length of that side, and the extent of the second side along y and along x.
+    The sides of a triangle are not perpendicular. The x axis of a triangle is along its first side.
+    Its sizes are the length of the first side, and the extents of the second side along y and x.
     """
     mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
     skew = (rows["type"] == _TRIANGLE).nonzero()[0]
@@ -82,7 +81,7 @@ def poses(rows: np.ndarray) -> tuple[Array, Array]:
 
 
 def quaternions_of(mats: Array) -> Array:
-    """Returns the quaternions, scalar first (k, 4), of rotations (k, 3, 3)."""
+    """Converts rotation matrices (k, 3, 3) to quaternions (k, 4), scalar first."""
     quaternions = np.empty((len(mats), 4))
     for quaternion, mat in zip(quaternions, mats.reshape(-1, 9), strict=True):
         mujoco.mju_mat2Quat(quaternion, mat)

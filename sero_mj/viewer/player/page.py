@@ -48,22 +48,22 @@ def export_html(
     meanings: Mapping[str, str] | None = None,
     **keywords: Any,
 ) -> list[str]:
-    """Writes a page that plays a scene: a recording, a run, or live sources for some seconds.
+    """Writes a page that plays a recording, a simulation, or some seconds of live data.
 
     Args:
-        scene: see `load_scene`.
+        scene: scene to export, see `load_scene`.
         path: path of the .html file.
-        title: title of the page; the scene's name if empty.
+        title: title of the page; an empty string for the name of the scene.
         marks: marks on the timeline.
-        meanings: meanings of labels on billboards, such as the file that `A` stands for.
+        meanings: mapping from labels on billboards to meanings, such as `A` to a file name.
         **keywords: arguments of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
             `wait` (s), `on_progress`.
 
     Returns:
-        names of the sources without data; their robots have the declared pose.
+        names of the sources without data. Their robots have the declared pose.
 
     Raises:
-        SeroError: a problem of the scene, its sources, the camera or the file; or the run is too
+        SeroError: the scene, a source, the camera or the file has a problem, or the run is too
             long.
     """
     captured = capture(scene, marks=marks, **keywords)
@@ -73,7 +73,7 @@ def export_html(
 
 
 def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
-    """Writes a run as a page, with the scene's name if `title` is empty.
+    """Writes a run as a page, whose title is the scene's name if `title` is empty.
 
     Raises:
         UsageError: the file cannot be written.
@@ -89,7 +89,7 @@ def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
 
 
 def requested_look(scene: Scene) -> str:
-    """Returns the look that a scene or an option requests; empty for the browser's setting."""
+    """Returns the look that a scene or an option requests, or "" for the browser's setting."""
     return scene.view.look if "look" in scene.view.model_fields_set else ""
 
 
@@ -99,7 +99,7 @@ def live_page(look: str) -> str:
 
 
 def player_files() -> dict[str, bytes]:
-    """Returns the script and the style of pages by name."""
+    """Returns a mapping from file names to contents of the script and style sheet of pages."""
     return {name: _static(name).encode() for name in ("player.js", "player.css")}
 
 
@@ -112,7 +112,7 @@ def cell_page(cell: str, title: str, look: str) -> str:
 
 
 def packed(data: bytes) -> str:
-    """Returns bytes as stored in pages: base64 of a raw deflate stream."""
+    """Encodes bytes in the format of pages: base64 of a raw deflate stream."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
     return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
 

@@ -18,15 +18,15 @@ from .packing import PackedArrays, rounded
 _TENDON = int(mujoco.mjtObj.mjOBJ_TENDON)
 _CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
-_MAX_PIECES = 4000  # of tendons
+_MAX_PIECES = 4000  # maximum number of tendon pieces
 
 
 @dataclass(frozen=True, eq=False)
 class Soft:
-    """F frames of S straight pieces of tendons, and of the V vertices of all drawn flexes.
+    """Tendons, as S straight pieces, and drawn flexes, with V vertices, in F frames.
 
     Attributes:
-        vertices: (F, V, 3), m.
+        vertices: positions of the vertices, shape (F, V, 3), m.
         ends: ends of each piece, (F, S, 2, 3), m.
         radius: radius of each piece, (F, S), m; 0 for none.
         colors: color of each piece in all frames, (S, 4).
@@ -38,7 +38,7 @@ class Soft:
     colors: Array
 
     def head(self, parts: PackedArrays, step: float) -> dict[str, Any]:
-        """Returns tendons and flexes for the head of a page, with a resolution of `step` m."""
+        """Encodes tendons and flexes for the head of a page, with a resolution of `step` m."""
         frames = len(self.radius)
         found: dict[str, Any] = {}
         if self.vertices.size:
@@ -53,7 +53,7 @@ class Soft:
 
 
 class SoftFrame(NamedTuple):
-    """Vertices of flexes, (V, 3), m, and rows of `GEOM` of tendons, in one state."""
+    """Vertices of flexes, shape (V, 3), m, and tendons as rows of `GEOM`, in one state."""
 
     vertices: Array
     tendons: np.ndarray
@@ -86,7 +86,7 @@ class SoftParts:
 
 
 def soft_of(found: Sequence[SoftFrame]) -> Soft:
-    """Joins frames; each piece of a tendon has an index of its own."""
+    """Joins frames. Each piece of a tendon has a constant index."""
     frames = len(found)
     counts: dict[int, int] = {}
     for rows in (each.tendons for each in found):

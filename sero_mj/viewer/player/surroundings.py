@@ -1,4 +1,4 @@
-"""The surroundings of a page: the palettes of both looks, and the floor.
+"""The surroundings in pages: the palettes of the light and dark look, and the floor.
 
 Pages use the same light as Filament, see `image/sky_light.py`.
 """
@@ -17,8 +17,8 @@ from ..image.sky_light import LEVELS, SkyLight
 from .model import our_floor
 from .packing import rounded
 
-_END = 0.77  # where floors end, relative to the far plane (measured with MuJoCo 4.0.0)
-_ELEVATIONS = 33  # of reflections, with equidistant sines from -1 to 1
+_END = 0.77  # distance at which floors end, relative to the far plane (measured with MuJoCo 4.0.0)
+_ELEVATIONS = 33  # elevations of reflections, with equidistant sines from -1 to 1
 
 
 def surroundings_head(world: WorldView) -> dict[str, Any]:

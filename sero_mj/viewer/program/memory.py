@@ -1,7 +1,7 @@
-"""The memory that a viewer and its process share.
+"""Shared memory of the user's program and the viewer's process.
 
-Inputs and the state of an overlay go to the process; the displayed state comes back. Neither
-process ever waits for the other.
+The program sends inputs and the state of an overlay, and the viewer sends the displayed state.
+Neither process ever waits for the other.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import to_array
 from ...robots.external.model_world import ModelWorld
 
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo takes ten times as long for an enum
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # passing an enum takes ten times as long
 _MEMORY = Path("/dev/shm")  # a file system in memory; Linux only
-_HEADER = 2  # of an array: the number of writes, and a checksum
+_HEADER = 2  # entries before each array: the number of writes, and a checksum
 _CHECKSUM_MODULUS = 2**32  # checksums are smaller
 _pack = struct.Struct("dd").pack
 
@@ -42,12 +42,12 @@ class SharedArrays:
 
     Args:
         lengths: lengths of the arrays.
-        path: path of the memory of the other process; None to create it. The process that opens it
-            removes its name, so no file remains.
+        path: path of the memory that the other process has created; None to create the memory.
+            The process that opens the memory removes the file, so no file remains.
 
     Attributes:
-        written: number of writes of this process by array, (K,).
-        numbers: number of writes of each array when it was last read, (K,).
+        written: number of writes to each array by this process, shape (K,).
+        numbers: number of writes to each array at the last read, shape (K,).
     """
 
     def __init__(self, lengths: Sequence[int], path: Path | None = None) -> None:
@@ -60,7 +60,7 @@ class SharedArrays:
         ]
         self.written = [0] * len(lengths)
         self.numbers = np.zeros(len(lengths))
-        self._lock = threading.Lock()  # for threads that write
+        self._lock = threading.Lock()  # protects writes by several threads
         if path is None:
             folder = _MEMORY if os.access(_MEMORY, os.W_OK) else None
             file, name = tempfile.mkstemp(prefix="sero-mj-", dir=folder)
@@ -81,7 +81,7 @@ class SharedArrays:
             self.path.unlink()
 
     def write(self, index: int, values: Array) -> None:
-        """Writes an array of any shape that has its length."""
+        """Writes an array from values of any shape with the same number of elements."""
         contents = values.tobytes()
         with self._lock:
             self.written[index] = number = self.written[index] + 1
@@ -96,7 +96,7 @@ class SharedArrays:
         return np.flatnonzero(self._cells[self._heads] != self.numbers).tolist()
 
     def read(self, index: int) -> Array | None:
-        """Returns a copy of an array; None if it is not new, or is being written."""
+        """Returns a copy of an array; None if the array is unchanged or is being written."""
         start, stop = self._starts[index], self._stops[index]
         if self._cells[start] == self.numbers[index]:
             return None
@@ -125,13 +125,13 @@ class ViewerMemory(Protocol):
     def frame_count(self) -> int: ...
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input of the viewer's world and sends it; raises as `set_input` does."""
+        """Sets an input of the viewer's world and sends the values; raises as `set_input` does."""
 
     def sync(self) -> None:
         """Sends the state of the viewer's data, and receives the displayed state."""
 
     def apply(self) -> None:
-        """Applies what the viewer has sent."""
+        """Applies the values that the user's program has sent."""
 
     def show(self) -> None:
         """Sends the displayed state."""
@@ -140,8 +140,9 @@ class ViewerMemory(Protocol):
 class SceneMemory:
     """The inputs of a scene, and its displayed state.
 
-    Each input is an array, so that only the inputs that the user sets are sent; the scene's sources
-    set the others. Their values come back, except for inputs that the user has set since.
+    Each input is an array, so that only the inputs that the user sets are sent. The scene's sources
+    set all other inputs. The values of all inputs are sent back, except for inputs that the user
+    has set since.
 
     Args:
         world: the compiled scene, equal in both processes.
@@ -190,7 +191,7 @@ class SceneMemory:
         shown = self.arrays.read(len(self._inputs)) if self.is_read else None
         if shown is None:
             return
-        # The last entry is for values that no input sets.
+        # The last entry stands for values that no input sets.
         is_shown = np.append(shown[self._numbers] == self.arrays.written[:-1], True)
         where = is_shown[self._setter]
         self.data.time = shown[0]

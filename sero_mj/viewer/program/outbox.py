@@ -1,7 +1,7 @@
-"""`Outbox`: sends changes to the viewer's process on a thread; `UserSignals`: plotted samples.
+"""`Outbox`: sends changes to the viewer's process on a thread. `UserSignals`: plotted samples.
 
-A loop never waits for the viewer, even if the viewer hangs: while a message is being sent, each
-topic collects its changes.
+The user's loop never waits for the viewer, even if the viewer hangs: each topic collects changes
+while a message is being sent.
 """
 
 from __future__ import annotations
@@ -25,7 +25,8 @@ class Outbox:
     """Sends the messages of several topics.
 
     Args:
-        send: sends a message to a tool of the view; returns False if the viewer has ended.
+        send: function that sends a message to a tool of the viewer, and returns False if the
+            viewer has ended.
     """
 
     def __init__(self, send: Callable[[str, Any], bool]) -> None:
@@ -38,7 +39,8 @@ class Outbox:
         """Adds a topic.
 
         Args:
-            take: returns the changes since the last call, or None; called by another thread.
+            take: function that returns the changes since the last call, or None; called on another
+                thread.
         """
         is_first = not self._topics
         self._topics[tool] = take
@@ -67,11 +69,11 @@ class Outbox:
 TOOL = "plot"  # the tool that shows the signals
 
 _MAX_SIGNALS = 100
-_MAX_UNSENT = 20_000  # samples of a signal; if more wait to be sent, the oldest are dropped
+_MAX_UNSENT = 20_000  # samples of a signal; if more wait to be sent, the oldest ones are dropped
 
 
 class UserSignals:
-    """Samples of plotted signals that wait to be sent."""
+    """Samples of plotted signals that have not been sent yet."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox

@@ -38,17 +38,17 @@ _SCENE_SIZE = (640, 480)  # assumed for a scene without an image size
 
 
 class Overlay:
-    """Visual features for the user's model and data, which are never changed.
+    """Draws visual features on a model of the user, and never changes the model and its data.
 
     Attributes:
-        data: the user's data; frames show its current state, so call `mj_step` or `mj_forward`
-            first.
+        data: the user's data. Frames show the current state of the data, so call `mj_step` or
+            `mj_forward` first.
     """
 
     def __init__(self, world: ModelWorld) -> None:
         self.model, self.data, self.world = world.model, world.data, world
         self._decor = SceneDecor(world)
-        self._drawn = self._decor  # the decor of the last frame: this one, or that of `image`
+        self._drawn = self._decor  # the decor of the last frame, which `image` replaces
         self._renderer: HeadlessRenderer | None = None
         self._has_warned = False
 
@@ -70,7 +70,7 @@ class Overlay:
 
     @property
     def not_finite(self) -> int:
-        """Number of NaN, infinite and implausible values that were set; these are not displayed."""
+        """Number of NaN, infinite and implausible values that were set and are not displayed."""
         return self.world.not_finite
 
     def set(self, target: str, values: Any) -> None:
@@ -79,11 +79,11 @@ class Overlay:
         Args:
             target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
                 `arm.show_axes`, ...
-            values: values of the input's shape, SI units. Joint values can also be a vector of the
-                whole model, (nv,), or a mapping from joint names.
+            values: values in the shape of the input, SI units. Joint values can also be a vector
+                of the whole model, shape (nv,), or a mapping from joint names to values.
 
         Raises:
-            UnknownName: no such input or joint; suggests the nearest name.
+            UnknownName: there is no such input or joint; suggests the nearest name.
             ValueError: the values do not fit the input.
         """
         self.world.set_input(self.data, target, values)
@@ -92,19 +92,19 @@ class Overlay:
         """Returns the inputs of a robot or double as attributes: `robot("arm").torques = ...`.
 
         Raises:
-            UnknownName: no robot or double of that name; suggests the nearest name.
+            UnknownName: there is no robot or double with this name; suggests the nearest name.
         """
         return RobotInputs(self, name)
 
     def clear(self, target: str) -> None:
-        """Clears an input; torques and accelerations are then those of the model again."""
+        """Clears an input. Cleared torques and accelerations are again computed by the model."""
         self.world.clear_input(target)
 
     def frame(self, name: str) -> Array:
-        """Returns T_world_name (4, 4) of a frame (`arm/hand`), translation in m.
+        """Returns T_world_name (4, 4) of a frame such as `arm/hand`, translation in m.
 
         Raises:
-            UnknownName: no such frame.
+            UnknownName: there is no such frame.
         """
         return self.world.frame(self.data, name)
 
@@ -117,13 +117,13 @@ class Overlay:
                 `MjvScene`.
             camera: camera for a scene without one: an `MjvCamera`, a camera's name, or
                 `azimuth,elevation,distance` (degrees, degrees, m).
-            size: size of the image, pixels; that of the target if None.
+            size: size of the image, pixels; None for the size of the target.
 
         Returns:
-            number of geoms that exceeded the scene's capacity; also in `dropped`.
+            number of geoms that exceeded the capacity of the scene, also stored in `dropped`.
 
         Raises:
-            UsageError: the target is none of these, or its camera is unknown.
+            UsageError: the target has another type, or the camera is unknown.
         """
         scene, font, own_camera, own_size = _canvas_of(target)
         camera = own_camera if camera is None else camera
@@ -144,10 +144,10 @@ class Overlay:
         return self._decor.draw(self.data, view, scene)
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
-        """Returns the item at a pixel of the last frame, counted from the upper left corner.
+        """Returns the item at a pixel of the last frame; (0, 0) is the upper left corner.
 
         Args:
-            tolerance: maximum distance from decor if none is hit exactly, pixels.
+            tolerance: maximum distance from an item of decor if no item is hit exactly, pixels.
 
         Raises:
             UsageError: nothing has been drawn yet.
@@ -173,16 +173,16 @@ class Overlay:
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
     ) -> ImageArray:
-        """Renders an image without a window; notebooks display it, `.save("out.png")` writes it.
+        """Renders an image without a window. Notebooks display it; `.save("out.png")` writes it.
 
         Args:
             camera: a camera's name, `azimuth,elevation,distance` (degrees, degrees, m), an
                 `MjvCamera`, or None for a view of all robots.
 
         Raises:
-            RenderError: no OpenGL, or the size is out of range.
+            RenderError: OpenGL is not available, or the size is out of range.
             UsageError: the size is not a number.
-            UnknownName: no camera of that name.
+            UnknownName: there is no camera with this name.
         """
         for key, value in (("width", width), ("height", height)):
             if not isinstance(value, int | np.integer):
@@ -261,38 +261,40 @@ def overlay(
 ) -> Overlay:
     """Finds the robots in a compiled model and returns an overlay that draws their features.
 
-    A robot is a kinematic tree, one child of the world with its descendants, that has a hinge or
-    slide joint and, if the model has actuators, is driven by one or named in `robots`. Limbs of a
-    trunk that is fused with the world are one robot. It is named after the root body, or after the
-    model if the root is named `base_link` or similar. Its arrows show `data.qfrc_actuator`, the
-    actuator forces at the joints, until `ROBOT.torques` is set; `ROBOT.commanded_torques` has no
-    default. An arrow of full width shows the limit of the joint or of its actuators, or the gravity
-    load of the joint if there is no limit. Free and ball joints have no arrow.
+    A robot is a kinematic tree: a child body of the world and all its descendants, with at least
+    one hinge or slide joint. If the model has actuators, the tree must be driven by one or be named
+    in `robots`. Limbs of a trunk that is fused with the world form one robot. A robot is named
+    after the root body, or after the model if the root body is named `base_link` or similar.
+
+    Arrows show `data.qfrc_actuator`, the actuator forces at the joints, until `ROBOT.torques` is
+    set; `ROBOT.commanded_torques` has no default. Arrows have full width at the limit of the joint
+    or its actuators, or at the gravity load of the joint if there is no limit. Free and ball joints
+    have no arrow.
 
     Args:
         model: a `mujoco.MjModel`, which is not changed; or a source to compile: a
             `mujoco.MjSpec`, a PyMJCF `RootElement`, a dm_control composer entity.
-        data: data of that model, not changed; None to create data.
-        robots: fields of robots that override the model, by name: `torque_limits`,
+        data: data of the model, not changed; None to create data.
+        robots: mapping from robot names to fields that override the model: `torque_limits`,
             `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
-        doubles: transparent doubles of its robots.
+        doubles: transparent doubles of robots of the model.
         arrows: Cartesian vectors at frames (`arm/hand`).
         frames: other bodies and sites whose axes are shown.
         toggles: initial switches of the whole scene.
         surroundings: whether `image` and windows add a floor, a sky and lights if the model has
-            none; your own renderer and pages show those of the model.
+            none. Other renderers and pages show only the surroundings of the model.
         name: title of the window.
 
     Raises:
         UsageError: `data` belongs to another model, or an argument has another type.
         DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
-        UnknownName: no robot, body or site of that name; suggests the nearest name.
+        UnknownName: there is no such robot, body or site; suggests the nearest name.
     """
     if is_mjcf_object(model):
         model = as_spec(model, Path()).compile()
     _check_model(model)
     if robots is not None and not isinstance(robots, Mapping):
-        expected = "fields by robot, as {'arm': {'arrow_radius': 0.06}}"
+        expected = "a mapping from robots to fields, such as {'arm': {'arrow_radius': 0.06}}"
         raise UsageError(Problem("robots", found=robots, expected=expected))
     if isinstance(frames, str):
         frames = [frames]
@@ -337,13 +339,13 @@ def _check_data(model: mujoco.MjModel, data: Any) -> None:
         if found != expected:
             problem = Problem(
                 "data",
-                f"found that of a model with {field} =",
+                f"found data of a model with {field} =",
                 found=found,
                 expected=f"{expected}: mujoco.MjData(model) of the same model",
             )
             raise UsageError(problem)
     for field in ("jnt_type", "jnt_bodyid", "body_parentid"):
         if not np.array_equal(getattr(other, field), getattr(model, field)):
-            found = f"found that of a model with another {field}"
+            found = f"found data of a model with another {field}"
             expected = "mujoco.MjData(model) of the same model"
             raise UsageError(Problem("data", found, expected=expected))

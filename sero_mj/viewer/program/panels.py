@@ -1,8 +1,8 @@
-"""`UserPanel`: the widgets that a program adds to its viewer, on the side of the program.
+"""`UserPanel`: the widgets that a program adds to its viewer, in the program's process.
 
-The tool `user_panels` shows them in the viewer's process. Both sides change values. Each change by
-the program has a number, and changes by the user carry the last number that the viewer has
-received, so that the program ignores those that it has overridden.
+The tool `user_panels` shows the widgets in the viewer's process. Both the program and the user
+change values. Each change by the program has a number. Each change by the user carries the last
+number that the viewer has received, so that the program ignores changes that it has overridden.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ Callback = Callable[..., object]
 
 
 class WidgetHandle(Generic[Value]):
-    """A widget of a panel; made by `UserPanel`."""
+    """A widget of a panel, created by `UserPanel`."""
 
     def __init__(
         self, panels: UserPanels, place: Place, state: WidgetState, callback: Callback | None
@@ -45,10 +45,10 @@ class WidgetHandle(Generic[Value]):
 
     @property
     def value(self) -> Value:
-        """Value of the widget. Setting it calls no callback.
+        """Value of the widget. Setting the value does not call the callback.
 
         Raises:
-            UsageError: the widget cannot have the value.
+            UsageError: the value is invalid for the widget.
         """
         value: Value = self.state.value
         return value
@@ -66,8 +66,8 @@ class WidgetHandle(Generic[Value]):
 class UserPanel:
     """A section of the viewer's panel with widgets of the program; see `Viewer.panel`.
 
-    `Viewer.sync` calls the callback of each widget that has changed since its last call, and that
-    of a button once for each press. Values also change without `sync`.
+    `Viewer.sync` calls the callback of each widget that the user has changed since the last `sync`.
+    The callback of a button is called once for each press. Values also change without `sync`.
 
     Every method raises UsageError if the panel already has a widget with the label, or an argument
     is invalid, and RenderError if the viewer is closed.
@@ -87,7 +87,7 @@ class UserPanel:
         unit: str = "",
         on_change: Callable[[float], object] | None = None,
     ) -> WidgetHandle[float]:
-        """Adds a slider, whose initial value is `low` if `value` is None."""
+        """Adds a slider. Its initial value is `low` if `value` is None."""
         low, high = to_number(label, low), to_number(label, high)
         widget = SliderWidget(label, low, high, unit)
         return self._add(widget, low if value is None else value, on_change, "on_change")
@@ -123,7 +123,7 @@ class UserPanel:
         value: str | None = None,
         on_change: Callable[[str], object] | None = None,
     ) -> WidgetHandle[str]:
-        """Adds a drop-down list of different names."""
+        """Adds a drop-down list of names, which must differ."""
         widget = ChoiceWidget(label, (names,) if isinstance(names, str) else (*names,))
         chosen = widget.names[0] if value is None else value
         return self._add(widget, chosen, on_change, "on_change")
@@ -131,11 +131,11 @@ class UserPanel:
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
-        """Adds a button; its value is the number of presses."""
+        """Adds a button, whose value is the number of presses."""
         return self._add(ButtonWidget(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
-        """Adds a text; its value is the text, which can be changed."""
+        """Adds a line of text. The program can change the text with `value`."""
         return self._add(TextWidget(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
@@ -163,11 +163,11 @@ class UserPanels:
     """All panels of a viewer.
 
     Args:
-        outbox: sends changes by the program.
-        is_open: returns whether the viewer is open.
+        outbox: outbox that sends changes by the program.
+        is_open: function that returns whether the viewer is open.
 
     Attributes:
-        has_changes: whether `call` has something to do.
+        has_changes: whether there are changes by the user that `call` has not handled.
     """
 
     def __init__(self, outbox: Outbox, is_open: Callable[[], bool]) -> None:
@@ -201,7 +201,7 @@ class UserPanels:
         return handle
 
     def change(self, handle: WidgetHandle[Value], value: Value) -> None:
-        """Changes the value of a widget; a removed widget is not shown again."""
+        """Changes the value of a widget, without showing a removed widget again."""
         with self._lock:
             handle.state = handle.state._replace(value=value, number=next(self._numbers))
             if self._handles.get(handle.place) is handle:
@@ -224,7 +224,7 @@ class UserPanels:
         return changes or None
 
     def receive(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
-        """Applies changes by the user: values, and the number of the last received change."""
+        """Applies changes by the user: each value, and the number of the last received change."""
         with self._lock:
             for place, (value, number) in changes.items():
                 handle = self._handles.get(place)

@@ -1,7 +1,8 @@
-"""`ViewerProcess`: the process of a viewer, as seen by the user's program.
+"""`ViewerProcess`: starts and controls the process of a viewer, in the user's program.
 
-The two exchange pickled messages over the standard input and output of the process, which ends when
-its input is closed. A file collects its standard error, which is reported if the process dies.
+Both processes exchange pickled messages over the viewer's standard input and output. The viewer's
+process ends when its input is closed. Its standard error goes to a file, and is reported if the
+process dies.
 """
 
 from __future__ import annotations
@@ -36,20 +37,21 @@ _PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
     "from sero_mj.viewer.program.process_main import main; main()"
 )
-_CLOSE_TIMEOUT = 5.0  # s; then the process is killed
-_IMAGE_TIMEOUT = 30.0  # s; software rendering takes some seconds for the first image
+_CLOSE_TIMEOUT = 5.0  # s after which the process is killed
+_IMAGE_TIMEOUT = 30.0  # s; software rendering takes several seconds for the first image
 _MAX_CLICKS = 1000  # clicks that wait to be handled
 
 
 class ViewerProcess:
     """A process that shows a scene or an overlay.
 
-    It starts to load while this process compiles the scene. Call `describe`, then `open`.
+    The process starts to load while this process compiles the scene. Call `describe`, then `open`.
 
     Attributes:
-        clicks: clicked items and gestures, oldest first; the caller removes those it handles.
+        clicks: clicked items and gestures, oldest first. The caller removes each click that it
+            handles.
         is_open: whether the process is running.
-        answers: functions that receive the messages of a tool, by the tool's name; called by
+        answers: mapping from tool names to functions that receive the messages of the tool on
             another thread.
     """
 
@@ -67,7 +69,7 @@ class ViewerProcess:
         self.is_open = True
         self.answers: dict[str, Callable[[Any], None]] = {}
         self._owner = os.getpid()
-        self._is_closing = False  # or its user has closed it
+        self._is_closing = False  # also set if the user has closed the viewer
         self._images: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
         self._requested = 0  # number of the last requested image
         self._listener = threading.Thread(target=self._listen, daemon=True, name="sero-mj viewer")
@@ -89,7 +91,7 @@ class ViewerProcess:
         return self._send(("tell", tool, message))
 
     def describe(self, shown: Any) -> None:
-        """Sends a scene or model, which the process compiles at the same time as this one.
+        """Sends a scene or model, which both processes compile at the same time.
 
         Raises:
             UsageError: the scene cannot be pickled.
@@ -104,7 +106,7 @@ class ViewerProcess:
             memory: path of the shared memory.
 
         Raises:
-            SeroError: as raised in the process.
+            SeroError: error that was raised in the viewer's process.
             RenderError: the process has died.
         """
         self._send(("open", memory, options))
@@ -156,7 +158,7 @@ class ViewerProcess:
     def _ending(self) -> str:
         try:
             self._process.wait(_CLOSE_TIMEOUT)
-        except subprocess.TimeoutExpired:  # it runs, but its output is not a message
+        except subprocess.TimeoutExpired:  # the process runs, but its output is not a message
             self._process.kill()
             self._process.wait()
         how, lines = self._child.status, self._child.lines()

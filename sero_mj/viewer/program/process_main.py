@@ -1,6 +1,7 @@
-"""The main function of a viewer's process: shows a scene or an overlay until its input ends.
+"""The main function of a viewer's process, which shows a scene or an overlay.
 
-`process.py` sends messages on the standard input, which ends when the user's program ends.
+`process.py` sends messages on the standard input. The viewer closes when this input ends, because
+the user's program has then ended.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
-_HIDDEN_INTERVAL = 0.1  # s between frames of a page without browsers
+_HIDDEN_INTERVAL = 0.1  # s between frames of a page that no browser shows
 _CLOSE_TIMEOUT = 5.0  # s after which the process ends, even while it renders
 
 
@@ -62,7 +63,7 @@ class _Program:
         self.is_shown = False
         self._process = os.getppid()
         self.messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
-        # Messages use a copy of the standard output; everything printed goes to the standard error.
+        # Messages use a copy of the standard output; printed text goes to the standard error.
         self._out = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
         self._sending = threading.Lock()
@@ -88,7 +89,10 @@ class _Program:
         return message[1:]
 
     def send(self, *message: Any) -> None:
-        with suppress(OSError), self._sending:  # the program has ended; `_listen` notices it, too
+        with (
+            suppress(OSError),
+            self._sending,
+        ):  # the program has ended, which `_listen` detects, too
             self._out.write(pickle.dumps(message))
             self._out.flush()
 
@@ -103,7 +107,7 @@ class _LogSender(logging.Handler):
 
 
 class _SceneMirror(Mirror):
-    """A mirror that applies the inputs of the user before those of the sources."""
+    """A mirror that applies the inputs of the user before the inputs of the sources."""
 
     take: Callable[[], None]
 
@@ -125,7 +129,7 @@ class _OverlayMirror(Watch):
 def _show(program: _Program) -> None:
     pickled, level = program.receive("describe")
     mirror, make_memory = _mirror_of(pickled)
-    # Only from here on, because the program has logged the same warnings of the scene.
+    # Set up only now, because the program has already logged the warnings about the scene.
     logging.getLogger("sero_mj").setLevel(level)
     logging.getLogger().addHandler(_LogSender(program))
     path, options = program.receive("open")

@@ -28,10 +28,10 @@ class HasInputs(Protocol):
 
 
 class JointInput:
-    """An attribute with one value per joint, (n,), SI units; NaN means no data.
+    """An attribute with one value per joint, shape (n,), in SI units; NaN means no data.
 
     An overlay also accepts a mapping from joint names to numbers and, except for joint angles, a
-    vector of its whole model, (nv,).
+    vector of the whole model, shape (nv,).
     """
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -50,18 +50,18 @@ class JointInput:
 class RobotInputs:
     """The inputs of one robot or double, or of all robots of a group one after the other.
 
-    Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles are
-    set by `set`, or as attributes too.
+    Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles can
+    also be set with `set` or as attributes.
 
     Attributes:
-        joint_angles: (n,), rad or m; those of an overlay's robot are read-only.
-        torques: measured, (n,), Nm or N.
-        commanded_torques: (n,), Nm or N.
-        joint_accelerations: (n,), rad/s2 or m/s2.
-        billboard_values: (n,).
+        joint_angles: joint angles, shape (n,), rad or m; read-only for robots of an overlay.
+        torques: measured torques, shape (n,), Nm or N.
+        commanded_torques: commanded torques, shape (n,), Nm or N.
+        joint_accelerations: joint accelerations, shape (n,), rad/s2 or m/s2.
+        billboard_values: values that the billboards of the joints show, shape (n,).
 
     Raises:
-        UnknownName: no robot or double of that name; suggests the nearest one.
+        UnknownName: there is no robot or double with this name; suggests the nearest name.
     """
 
     __slots__ = ("_name", "_of")
@@ -92,7 +92,7 @@ class RobotInputs:
         """Sets an input by name.
 
         Raises:
-            UnknownName: no such input; suggests the nearest one.
+            UnknownName: there is no input with this name; suggests the nearest name.
             ValueError: the values do not fit the input.
         """
         self._of.set(f"{self._name}.{key}", values)

@@ -35,11 +35,13 @@ from .robot_inputs import RobotInputs
 if TYPE_CHECKING:
     from ..web.host import WebHost
 
-_shown: list[Viewer] = []  # open viewers; in a notebook, there may be no other references
+_shown: list[
+    Viewer
+] = []  # open viewers; in a notebook, there may be no other reference to a viewer
 
 
 class NotebookCells(Protocol):
-    """The notebook cells that display a viewer; made by an entry point of `sero_mj.notebooks`."""
+    """Notebook cells that display a viewer; an entry point of `sero_mj.notebooks` creates them."""
 
     def show(self) -> None: ...
 
@@ -50,10 +52,10 @@ class NotebookCells(Protocol):
 
 
 class Viewer:
-    """A window or web page in its own process, which displays the values that the user's loop sets.
+    """A window or web page in a separate process, which displays values that the program sets.
 
-    It renders independently of the loop until it is closed or this process ends. Can be used as a
-    context manager.
+    The viewer renders independently of the program until the viewer is closed or this process ends.
+    A viewer can be used as a context manager.
 
     Attributes:
         urls: all addresses of the page, including those for other machines; empty for a window.
@@ -83,9 +85,9 @@ class Viewer:
     def data(self) -> mujoco.MjData:
         """State of the world at the last `sync`; for an overlay, the user's own data.
 
-        It includes values that were set and data of the scene's sources. Change it only with `set`
-        and `robot`. After the first access, every `sync` updates it, which takes about 50 us per
-        frame.
+        The state includes values that were set and data of the scene's sources. Change the state
+        only with `set` and `robot`. After the first access, every `sync` updates the state, which
+        takes about 50 us per frame.
         """
         if not self._memory.is_read:
             self._memory.is_read = True
@@ -104,17 +106,17 @@ class Viewer:
         return self.frame_count
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input, as a route does; the next frame shows it.
+        """Sets an input. The next frame shows the values.
 
         Args:
             target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
                 `lwr.show_axes`, `toggles.legend`, ...; or an input of a group,
-                `justin.joint_angles`
-            values: values of the input's shape, SI units; for a group, those of all joints or of
-                the independent ones, in the order of its robots.
+                `justin.joint_angles`.
+            values: values in the shape of the input, SI units. For a group: values of all joints
+                or of the independent joints, in the order of the group's robots.
 
         Raises:
-            UnknownName: no such input; lists the existing ones.
+            UnknownName: there is no such input; lists the existing inputs.
             ValueError: the values do not fit the input.
         """
         self._memory.set(target, values)
@@ -122,19 +124,19 @@ class Viewer:
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
 
-        The inputs of a group contain the values of its robots in their order.
+        The inputs of a group contain the values of the group's robots, in the group's order.
 
         Raises:
-            UnknownName: no robot, double or group of that name; suggests the nearest name.
+            UnknownName: there is no such robot, double or group; suggests the nearest name.
         """
         return RobotInputs(self, name)
 
     def sync(self) -> bool:
         """Sends the state of an overlay's model, receives the displayed state, and calls callbacks.
 
-        It never blocks (1 us for a scene, about 30 us for an overlay), so it can be called in every
-        cycle of a fast loop, and errors of the viewer are not raised. A viewer that only shows
-        values that were `set` does not need it.
+        The call never blocks (1 us for a scene, about 30 us for an overlay), so it can be made in
+        every cycle of a fast loop. Errors of the viewer are not raised. A program that only calls
+        `set` does not need `sync`.
 
         Returns:
             whether the viewer is open.
@@ -172,8 +174,8 @@ class Viewer:
     def plot(self, name: str, value: float) -> None:
         """Plots a value over time; each name is a line in a plot beside the image.
 
-        It takes about a microsecond, so it can be called in every cycle of a fast loop; plots show
-        minimum and maximum in bins of 2 ms. A closed viewer ignores it.
+        The call takes about a microsecond, so it can be made in every cycle of a fast loop. Plots
+        show the minimum and maximum in bins of 2 ms. A closed viewer ignores the value.
 
         Args:
             value: current value; NaN for a gap.
@@ -249,9 +251,9 @@ def view(
     port: int | None = None,
     token: bool = True,
 ) -> Viewer:
-    """Opens a window or a web page that shows a scene, in its own process, and returns.
+    """Opens a window or a web page that shows a scene, in a separate process, and returns.
 
-    The scene's sources, if any, are mirrored. The caller can set all inputs:
+    The viewer mirrors the scene's sources, if any. The caller can set all inputs:
 
         with sero_mj.view("lwr_udp") as viewer:
             while viewer.sync():
@@ -263,20 +265,20 @@ def view(
     page; the page stays at its port.
 
     Args:
-        scene: a scene; a TOML file or the name of a shipped scene, scenario or robot; or an
-            `overlay`, whose data the caller steps.
-        web: True for a page, whose address is printed; None for a page only if there is no display
-            for a window.
-        look: `light` or `dark`, overrides the scene's; not for an overlay.
-        host: address to serve the page at; None for this machine only.
+        scene: a `Scene`, a TOML file, the name of a shipped scene, scenario or robot, or an
+            `overlay` whose data the caller steps.
+        web: True for a page, whose address is printed; False for a window; None for a page only if
+            there is no display for a window.
+        look: `light` or `dark`, overrides the look of the scene; not available for an overlay.
+        host: address at which the page is served; None for this machine only.
         port: port of the page; None for the first free port from 8080.
-        token: whether the page needs a secret token, which the printed address contains; a page
-            for other machines always does.
+        token: whether the page needs a secret token, which the printed address contains. A page
+            for other machines always needs a token.
 
     Raises:
         UsageError: arguments contradict each other, or have a wrong type.
-        SeroError: a problem of the scene, its sources or the camera; no display for a window; or
-            no such address for a page.
+        SeroError: the scene, a source or the camera has a problem, there is no display for a
+            window, or the address of the page does not exist.
     """
     of_page = {"host": host, "port": port, "token": None if token else False}
     of_window = {"size": size, "full_screen": full_screen or None}
@@ -284,9 +286,9 @@ def view(
         web = not has_display()
     for name, value in (of_window if web else of_page).items():
         if value is not None:
-            what = "windows" if web else "pages"
+            what = "windows" if web else "web pages"
             raise UsageError(
-                f"{name}: found {shown(value)}; only {what} have it: use web={not web}"
+                f"{name}: found {shown(value)}; only {what} have this option: use web={not web}"
             )
     subject = _to_show(scene, look)
     options: dict[str, Any] = {"web": web, "camera": camera}
@@ -342,7 +344,7 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
 
     Raises:
         RenderError: the page cannot be served there.
-        UnknownName: no camera of that name.
+        UnknownName: there is no camera with this name.
     """
     from ..web.host import WebHost
 

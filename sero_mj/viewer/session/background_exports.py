@@ -1,4 +1,4 @@
-"""`BackgroundExports`: creates pages and videos of recordings in other processes."""
+"""`BackgroundExports`: creates pages and videos of recordings in separate processes."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ...base.child_process import ChildProcess
 log = logging.getLogger(__name__)
 
 _KINDS = {".mp4": "video", ".html": "page"}
-_GRACE = 10.0  # s; a process that is terminated removes its unfinished file
+_GRACE = 10.0  # s; time for a terminated process to remove its unfinished file
 
 
 class BackgroundExports:
-    """Creates pages and videos one after the other, each in its own process."""
+    """Creates pages and videos one after the other, each in a separate process."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[list[str], Path]] = deque()
         self._made: tuple[ChildProcess, list[str], Path] | None = None
 
     def add(self, words: Sequence[str], path: Path) -> int:
-        """Queues a file; returns the number of files before it. Any thread may call it.
+        """Queues a file; returns the number of files before it in the queue. Thread-safe.
 
         Args:
-            words: command and arguments of `sero-mj`, without the output.
+            words: command and arguments of `sero-mj`, without the output file.
         """
         self._waiting.append(([*words, "-o", str(path)], path))
         return len(self._waiting) - 1 + (self._made is not None)
@@ -39,7 +39,7 @@ class BackgroundExports:
         return self.add(["export", str(recording)], recording.with_suffix(".html"))
 
     def advance(self) -> tuple[str, bool] | None:
-        """Starts the next file if one is finished; returns a message as `Tool.next_message`."""
+        """Starts the next file if the current one is finished; returns a message, or None."""
         message = None
         if self._made is not None and self._made[0].status:
             message = self._end()
@@ -67,7 +67,7 @@ class BackgroundExports:
         return f"{kind} {path.name} failed: {reason}", True
 
     def close(self, *, finish: bool) -> None:
-        """Finishes all files until Ctrl+C, or cancels them and logs their commands."""
+        """Finishes all files (Ctrl+C cancels), or cancels them. Logs commands of canceled files."""
         if finish:
             with contextlib.suppress(KeyboardInterrupt):
                 self.advance()

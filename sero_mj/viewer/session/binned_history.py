@@ -1,4 +1,4 @@
-"""`BinnedHistory`: minimum and maximum of signals in bins of 2 ms, for the last seconds."""
+"""`BinnedHistory`: minima and maxima of signals in bins of 2 ms, for the last seconds."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class BinnedHistory:
             self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def forget(self, since: Array) -> None:
-        """Deletes the samples after a time, s, of each value."""
+        """Deletes the samples of each value after the time in `since`, s."""
         with np.errstate(invalid="ignore"):
             past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
         for extremes in (self._low, self._high):
@@ -68,13 +68,13 @@ class BinnedHistory:
     def until(
         self, time: float | None, points: int = 2 * SHOWN, at: tuple[Any, ...] = ()
     ) -> tuple[Array, Array]:
-        """Returns the samples in the last `SPAN` before a time, oldest first.
+        """Returns the samples of the time span `SPAN` that ends at `time`, oldest first.
 
         Args:
-            time: end of the span, s; the newest sample if None.
-            points: approximate maximum number of samples, at least 2; each one is the minimum or
-                maximum of an interval.
-            at: index into a sample that leaves at most one dimension.
+            time: end of the span, s; None for the time of the newest sample.
+            points: approximate maximum number of samples, at least 2. Each sample is the minimum
+                or maximum of an interval.
+            at: index that selects a scalar or a vector of each sample.
 
         Returns:
             times (k,), s, and values (m, k), NaN for no data.

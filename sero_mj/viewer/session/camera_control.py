@@ -16,7 +16,7 @@ class CameraControl:
     """Moves the camera, unless a photo in the background fixes it.
 
     Args:
-        decor: returns the decor, whose view is that of the last frame.
+        decor: function that returns the decor, with the view of the last frame.
     """
 
     def __init__(
@@ -51,8 +51,8 @@ class CameraControl:
 
         Args:
             how: `orbit`, `pan` or `zoom`.
-            right: fraction of the image height; ignored for `zoom`.
-            down: fraction of the image height; wheel notches for `zoom`.
+            right: motion to the right, relative to the image height; ignored for `zoom`.
+            down: motion downward, relative to the image height; wheel notches for `zoom`.
         """
         view, navigator = self._decor().view, self._navigator
         if view is None or self._decor().fixed:

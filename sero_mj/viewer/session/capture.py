@@ -11,7 +11,7 @@ from ...base.errors import SeroError
 from ..image.image_files import Pixels, VideoWriter, save_image
 
 FPS = 30.0
-# If more frames are queued, frames are dropped and the next one is repeated.
+# If more frames are queued, new frames are dropped and the next frame is repeated instead.
 _MAX_WAITING = 8
 _used: set[Path] = set()  # names of files that may not exist yet
 
@@ -22,7 +22,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     No name is returned twice, because the files may be written later.
 
     Args:
-        ending: extension with its dot.
+        ending: file extension with the dot.
     """
     safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
@@ -36,7 +36,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often the current image must be added for the video to play in real time."""
+    """Returns how often to add the current image, so that the video plays in real time."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 
@@ -111,7 +111,7 @@ class ImageWriter:
             self._pending.append((future, f"video of {self.seconds:.1f} s", self._video_path))
 
     def next_message(self) -> tuple[str, bool] | None:
-        """Returns a message about the next written file and whether it is an error, or None."""
+        """Returns a message about the next written file, with whether it is an error; or None."""
         for each in self._pending:
             future, what, path = each
             if future.done():

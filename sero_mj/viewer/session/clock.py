@@ -15,21 +15,22 @@ from ...data.drive.place import follow
 from .binned_history import SPAN
 
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
-_STEP = 1.0 / 60.0  # s, if the sources have no time step
+_STEP = 1.0 / 60.0  # size of a single step if the sources have no time step, s
 _SIMULATION_CHUNK = 0.05  # simulated time per call, s
-# Real time, s, that a frame spends on simulation, so that the window stays responsive. If the rest
-# of a frame takes longer, simulation may take the same time, which at worst halves the frame rate.
+# Maximum real time, s, that a frame spends on simulation, so that the window stays responsive. If
+# the rest of a frame takes longer, simulation may take as long, which halves the frame rate at
+# worst.
 _MAX_WAIT = 0.03
-_SAMPLE_INTERVAL = 0.004  # s; shows spikes of 5 ms at real-time speed
-_MAX_SAMPLES = 20  # per frame
-_JUMP_THRESHOLD = 0.5  # s; a larger advance is a jump
-_PAST_SAMPLES = 120  # refill the plots after a jump
-_SMOOTHING = 0.1  # weight of a frame in `real_speed`
+_SAMPLE_INTERVAL = 0.004  # s between samples; shows spikes of 5 ms at real-time speed
+_MAX_SAMPLES = 20  # maximum number of samples per frame
+_JUMP_THRESHOLD = 0.5  # s; an advance by more than this is a jump
+_PAST_SAMPLES = 120  # number of samples that refill the plots after a jump
+_SMOOTHING = 0.1  # weight of the last frame in `real_speed`
 _MAX_FRAME = 0.5  # s; longer frames, for example after a suspend, are shortened to this
 
 HISTORY_SPAN = 60.0  # s of live data that can be replayed
-_STATE_RATE = 30.0  # stored states per second
-_MAX_STATE_BYTES = 64e6  # for all states; large worlds store fewer states per second
+_STATE_RATE = 30.0  # number of stored states per second
+_MAX_STATE_BYTES = 64e6  # size of all stored states; large worlds store fewer states per second
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -37,9 +38,9 @@ class Tick(NamedTuple):
     """An event on the timeline.
 
     Attributes:
-        time: s.
-        text: description.
-        is_mark: whether the user has set it; otherwise it is a fault.
+        time: time of the event, s.
+        text: description of the event.
+        is_mark: whether the event is a mark set by the user; otherwise it is a fault.
     """
 
     time: float
@@ -57,15 +58,16 @@ class Clock:
         is_live: whether a source follows real time.
         is_past: whether the past of live sources is shown.
         is_playing: whether there are sources; otherwise the user sets all inputs.
-        speed: displayed time per real time.
+        speed: ratio of displayed time to real time.
         begin: start of the timeline, s.
-        end: end of the timeline, s; None if a source has no end. For live sources and infinite
-            simulations, the newest time.
+        end: end of the timeline, s; None if a source has no end. For live sources and simulations
+            without an end, the newest time.
         step_size: size of a single step, s.
-        on_state: called for each new state of the mirror. While it is set, recordings and
-            simulations advance in fine steps even at a low frame rate, so that plots miss little.
-            If it is set later, it is first called for past times, as after a jump.
-        real_speed: speed of the last frames; a simulation may be slower than `speed`.
+        on_state: function that is called for each new state of the mirror. While a function is
+            set, recordings and simulations advance in fine steps even at a low frame rate, so that
+            plots miss little. A function that is set later is first called for past times, as
+            after a jump.
+        real_speed: actual speed in the last frames; a simulation may be slower than `speed`.
     """
 
     def __init__(self, mirror: LiveWorld) -> None:
@@ -84,7 +86,7 @@ class Clock:
         ends = [source.end for source in sources if source.end is not None]
         is_endless = self.is_live or len(ends) < len(sources)
         self.end = None if is_endless else max(ends, default=None)
-        # The timeline of an endless simulation moves.
+        # The timeline of a simulation without an end moves.
         self._growing = [] if self.is_live else [s for s in sources if s.newest is not None]
         self._move_timeline()
         steps = [source.step for source in sources if source.step is not None]
@@ -275,7 +277,8 @@ class Clock:
     def seek(self, time: float) -> None:
         """Continues from a time, s, limited to the timeline.
 
-        For live sources, the newest time is live; without history, seeking has no effect.
+        For live sources, seeking to the newest time shows live data. Without a history, seeking has
+        no effect.
         """
         if self.is_live and (self._history is None or self.end is None):
             return
@@ -305,9 +308,9 @@ def time_text(time: float) -> str:
 
 
 class LiveHistory:
-    """The newest state of a live mirror, and about 30 states per second of the last minute.
+    """Stores the newest state of a live mirror, and about 30 states per second of the last minute.
 
-    While a past state is shown, call `put_back` before the mirror advances.
+    While the mirror shows a past state, call `put_back` before the mirror advances.
     """
 
     def __init__(self, mirror: LiveWorld, span: float = HISTORY_SPAN) -> None:

@@ -1,4 +1,4 @@
-"""Mouse and key events, and their interpretation as drags and clicks."""
+"""Mouse and key events, and `Mouse`, which interprets them as drags and clicks."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
 DOUBLE_CLICK_TIME = 0.35  # maximum time between the two presses, s
-DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between them, pixels
+DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between the two presses, pixels
 _MAX_CLICK_MOTION = 4.0  # maximum distance between press and release of a click, pixels
 
 
@@ -17,9 +17,11 @@ class Event:
     """A mouse or key event.
 
     Attributes:
-        kind: `drop` is a dropped file.
-        x: pixels of the framebuffer from its left edge; wheel steps to the right for `scroll`.
-        y: pixels from its lower edge; wheel steps away from the user for `scroll`.
+        kind: kind of the event; `drop` is a dropped file.
+        x: distance from the left edge of the framebuffer, pixels; for `scroll`, wheel steps to the
+            right.
+        y: distance from the lower edge of the framebuffer, pixels; for `scroll`, wheel steps away
+            from the user.
         time: time on the clock of `time.monotonic`, s.
         key: a lowercase character, a name such as `f1`, `left`, `escape`, or the path of a `drop`.
         shift: whether Shift or Control was held.
@@ -38,11 +40,11 @@ class Event:
 
 @dataclass(frozen=True)
 class Moved:
-    """A drag of the pointer, or a turn of the wheel.
+    """A drag of the pointer, or a rotation of the wheel.
 
     Attributes:
-        right: pixels.
-        down: pixels; wheel steps for `zoom`.
+        right: motion to the right, pixels.
+        down: motion downward, pixels; wheel steps for `zoom`.
         pulls_from: pixel where the left button was pressed with Control to pull a link, or None.
         pressed: pixel where the left button was pressed; None for other buttons.
     """
@@ -59,7 +61,7 @@ class Clicked:
     """A click: a button was pressed and released at the same position.
 
     Attributes:
-        center: whether the view is centered there.
+        center: whether the click centers the view at the clicked point.
     """
 
     x: float
@@ -87,10 +89,10 @@ class Mouse:
         return self._pressed is not None
 
     def hold(self, pulls: Callable[[tuple[float, float]], bool]) -> bool:
-        """Turns a press that has not moved into one with Control, for touch screens.
+        """Treats a press without motion as a press with Control, for touch screens.
 
         Args:
-            pulls: returns whether something can be pulled at a pixel.
+            pulls: function that returns whether something can be pulled at a pixel.
         """
         press = self._pressed
         if press is None or self._is_drag or not pulls((press.x, press.y)):

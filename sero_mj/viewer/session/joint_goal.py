@@ -1,4 +1,4 @@
-"""`JointGoal`: the joint angles that a user requests for a robot; joint angles as text."""
+"""`JointGoal`: joint angles that a user requests for a robot. Also formats joint angles as text."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from ...robots.declared.inverse_kinematics import (
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-_FAR = 0.005  # m; larger distances to the requested pose are reported
-_ROTATED = np.deg2rad(2.0)  # rad; larger angles to the requested pose are reported
+_FAR = 0.005  # m; larger distances from the requested pose are reported
+_ROTATED = np.deg2rad(2.0)  # rad; larger angles from the requested pose are reported
 _PER_DRAG = 12  # iterations per move of the pointer; the next move continues
 _NO_NUMBER = "expected a finite number; the robot does not move"
 
 
 class JointGoal:
-    """Joint angles that are set by joint, by the flange's pose, or by a point of a link.
+    """Requested joint angles of a robot, set by joint, by flange pose, or by a point of a link.
 
     Angles stay within the position limits. If a request cannot be fulfilled, the nearest pose is
     used, and `trouble` explains why.
 
     Attributes:
-        trouble: why the last request is not fulfilled; empty if it is.
-        mark: requested and reached position of a frame, (2, 3), m; None if they coincide.
-        is_led: whether a program is setting the angles, so that the user cannot.
+        trouble: reason why the last request is not fulfilled, or an empty string.
+        mark: requested and reached position of a frame, shape (2, 3), m; None if they coincide.
+        is_led: whether a program sets the angles. The user then cannot set them.
     """
 
     def __init__(self, robot: SerialRobot, angles: Array) -> None:
@@ -88,11 +88,11 @@ class JointGoal:
         return f"{name} is at its limit of {value:.4g} {'deg' if is_angle else 'm'}"
 
     def hold_posture(self) -> None:
-        """Makes the null space prefer the current angles, from the start of a drag."""
+        """Makes redundant robots prefer the current angles during the drag that starts now."""
         self._posture = self._free.copy()
 
     def flange(self, base: Array) -> Array:
-        """Returns T_world_flange (4, 4) at these angles."""
+        """Returns T_world_flange (4, 4) at the requested angles."""
         return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
 
     def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
@@ -100,7 +100,7 @@ class JointGoal:
 
         Args:
             base: T_world_base (4, 4).
-            at_once: whether the pose was typed; it is then rejected unless it is reached.
+            at_once: whether the pose was typed. A typed pose that cannot be reached is rejected.
         """
         if not np.isfinite(pose).all():
             self.trouble = _NO_NUMBER
@@ -125,7 +125,7 @@ class JointGoal:
 
         Args:
             base: T_world_base (4, 4).
-            link: index of the link, 0 for the base, up to n.
+            link: index of the link, from 0 for the base to n.
             point: position in the frame of the link, (3,), m.
             wanted: position in the world, (3,), m.
         """
@@ -163,22 +163,22 @@ class JointGoal:
 
 
 def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
-    """Sets the angles of goals, float64 as bytes, if they differ."""
+    """Sets the angles of goals from bytes of float64, if the angles have changed."""
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))
 
 
-_DIGITS = 6  # of rad and m
+_DIGITS = 6  # decimals of angles in rad and positions in m
 
 
 def as_toml(robot: str, angles: Array) -> str:
-    """Returns a table of a scene: `[robots.lwr]` with `joint_angles`, rad or m."""
+    """Returns a TOML table for a scene, such as `[robots.lwr]`, with `joint_angles`, rad or m."""
     return f"[robots.{robot}]\njoint_angles = [{_listed(angles)}]  # rad or m\n"
 
 
 def as_python(robot: str, angles: Array) -> str:
-    """Returns a line for a loop with `sero_mj.view`, rad or m."""
+    """Returns a Python statement that sets the angles in a loop with `sero_mj.view`, rad or m."""
     return f'viewer.robot("{robot}").joint_angles = [{_listed(angles)}]\n'
 
 
@@ -189,7 +189,7 @@ def as_command(scene: Scene, robot: str, angles: Array) -> str:
 
 
 def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
-    """Returns the value of `--set` for a field of a robot with one number per joint."""
+    """Returns the value of `--set` for a robot's field that has one number per joint."""
     return f"{robot}.{field}={_listed(values, ',')}"
 
 

@@ -1,4 +1,4 @@
-"""The keys and mouse gestures of windows and pages, and the help that lists them."""
+"""Keys and mouse gestures of windows and pages, and the help about them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class Key(NamedTuple):
     """The action of a key.
 
     Attributes:
-        text: text of the help; empty to omit the key.
+        text: text in the help, or an empty string to omit the key.
         repeats: whether the action is repeated while the key is held.
     """
 
@@ -42,7 +42,7 @@ VIEWER_KEYS: dict[str, Key] = {
 }
 # Keys that browsers handle themselves.
 _OF_BROWSER = ("tab", "f11")
-# Alternative keys, which the help omits.
+# Alternative keys, which the help does not list.
 MORE_KEYS: dict[str, Key] = {
     "?": Key("help"),
     "f1": Key("help"),
@@ -89,7 +89,7 @@ _KINDS = {
 
 
 def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
-    """Returns columns of rows of input and effect; headings have no effect."""
+    """Returns the columns of the help. A row has an input and its effect, or is a heading."""
     keys = {**VIEWER_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
     if on_page:
         keys = {key: entry for key, entry in keys.items() if key not in _OF_BROWSER}

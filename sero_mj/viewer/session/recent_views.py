@@ -1,4 +1,4 @@
-"""Recent views with their images, and the saved view of each scene."""
+"""Stores recent views with an image each, and the saved view of each scene."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ class RecentView(NamedTuple):
     """A recent view.
 
     Attributes:
-        scene: a shipped name, or the absolute path of a file.
-        replay: the absolute path of the played recording; empty for none.
+        scene: name of a shipped scene, or absolute path of a file.
+        replay: absolute path of the played recording, or an empty string.
     """
 
     scene: str
@@ -56,7 +56,7 @@ def recent_views() -> list[RecentView]:
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Saves a view as the latest one."""
+    """Saves a view as the most recent view."""
     before = [each for each in _read() if each != view]
     views = [view, *before[: MAX_VIEWS - 1]]
     if pixels is not None:
@@ -69,7 +69,7 @@ def remember_view(view: RecentView, pixels: Pixels | None) -> None:
 
 
 def cut_to(image: Image.Image, size: tuple[int, int]) -> Image.Image:
-    """Returns the center of an image in another size, pixels."""
+    """Crops an image to the aspect ratio of a size in pixels, and scales it to the size."""
     scale = max(size[0] / image.width, size[1] / image.height)
     wide, high = size[0] / scale, size[1] / scale
     left, top = (image.width - wide) / 2, (image.height - high) / 2
@@ -91,11 +91,11 @@ def _read() -> list[RecentView]:
 
 log = logging.getLogger(__name__)
 
-_MAX_BYTES = 1_000_000  # of a saved view
+_MAX_BYTES = 1_000_000  # maximum size of a saved view
 
 
 def file_of(scene: Scene) -> Path:
-    """Returns the file of a scene's view, by the scene's file or name and its robots."""
+    """Returns the file of a scene's view, named after the scene's file or name and its robots."""
     name = scene.name if scene.file is None else str(scene.file.resolve())
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
@@ -104,12 +104,12 @@ def file_of(scene: Scene) -> Path:
 
 
 def state_folder() -> Path:
-    """Returns the directory of the user's state."""
+    """Returns the directory in which the state of the user is saved."""
     return user_state_path("sero-mj", appauthor=False)
 
 
 def write_state(path: Path, data: bytes) -> None:
-    """Writes a file of that directory atomically; logs failures."""
+    """Writes a file in the state directory atomically; logs failures."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
@@ -124,12 +124,12 @@ def save_view(
 ) -> None:
     """Saves a view for the next start; logs failures.
 
-    The states of tools are omitted if the file would be too long.
+    If the file would be too long, the states of tools are omitted.
     """
     view = state._replace(time=None).to_text()
     path, saved = file_of(scene), {"view": view, "layout": dict(layout), "tools": dict(tools)}
     if len(text := json.dumps(saved).encode()) > _MAX_BYTES:
-        log.warning("%s: the states of tools are not saved: they are too long", path)
+        log.warning("%s: the states of tools are not saved, because they are too long", path)
         text = json.dumps({**saved, "tools": {}}).encode()
     write_state(path, text)
 
@@ -138,7 +138,7 @@ def load_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]]
     """Returns the saved view, the layout and the states of tools, or None.
 
     Raises:
-        UsageError: the file is damaged.
+        UsageError: the file has invalid contents.
     """
     path = file_of(scene)
     try:
@@ -151,4 +151,6 @@ def load_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]]
         layout = {str(name): bool(on) for name, on in found["layout"].items()}
         return ViewState.from_text(found["view"]), layout, dict(found.get("tools", {}))
     except (ValueError, KeyError, TypeError, AttributeError, UsageError) as error:
-        raise UsageError(f"{path}: no valid view ({error}); use --fresh to ignore it") from None
+        raise UsageError(
+            f"{path}: not a valid view ({error}); use --fresh to ignore the file"
+        ) from None

@@ -1,7 +1,7 @@
-"""`PlotSignals`: the signals that can be plotted over time, and their histories.
+"""`PlotSignals`: signals that can be plotted over time, with histories.
 
-A signal is a value of a displayed joint, a number in the packets of a source (recordings and runs
-have the columns of their log), or a value that a program plots.
+A signal is a value of a displayed joint, a number in the packets of a source, a column in the log
+of a recording or run, or a value that a program plots.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from .clock import HISTORY_SPAN
 from .torque_history import ROWS, TorqueHistory
 
 PROGRAM = "program"  # group of the signals that a program plots
-_SPAN = SPAN + HISTORY_SPAN  # s
-_MAX_DELAY = 0.1  # s; slow frames may delay the displayed time this much
+_SPAN = SPAN + HISTORY_SPAN  # duration of the histories, s
+_MAX_DELAY = 0.1  # s; maximum delay of the displayed time by slow frames
 _MIN_JUMP = 1.0  # s; a larger jump back in time clears the history of a program's signal
 
 
 class PlotSignal(NamedTuple):
-    """A signal.
+    """The identity of a signal.
 
     Attributes:
-        group: a robot, double or source, or `PROGRAM`.
-        name: name in the group, such as `A2.torques` or `values0[3]`.
+        group: name of a robot, double or source, or `PROGRAM`.
+        name: name of the signal in the group, such as `A2.torques` or `values0[3]`.
     """
 
     group: str
@@ -45,7 +45,7 @@ class PlotSignals:
     """The signals of a view.
 
     Args:
-        torques: history of its joints.
+        torques: torque history of the view's joints.
     """
 
     def __init__(self, mirror: LiveWorld, torques: TorqueHistory) -> None:
@@ -56,7 +56,7 @@ class PlotSignals:
         self._program: dict[PlotSignal, BinnedHistory] = {}
         self._followed: dict[PlotSignal, BinnedHistory] = {}
         self._is_listening = False
-        self._offset = 0.0  # displayed time minus that of `time.monotonic`, s
+        self._offset = 0.0  # displayed time minus `time.monotonic()`, s
 
     @property
     def groups(self) -> dict[str, list[str]]:
@@ -66,14 +66,14 @@ class PlotSignals:
         return found
 
     def may_have(self, signal: PlotSignal) -> bool:
-        """Whether there is such a signal, or a program may plot it."""
+        """Returns whether the signal exists, or a program may still plot it."""
         return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
 
     def follow(self, wanted: Collection[PlotSignal]) -> bool:
-        """Stores the history of these signals; those of torques and of a program always have one.
+        """Stores histories of the wanted signals only, and of torques and a program's signals.
 
         Returns:
-            whether there are new signals, so that `watch` should be called for the past.
+            whether there are new signals, for which `watch` should be called for past times.
         """
         known = {*wanted} & {*self._joints, *self._numbers}
         new = {each for each in known - {*self._followed} if not self._has_torque(each)}
@@ -118,10 +118,13 @@ class PlotSignals:
         history.add(times, np.where(np.isfinite(values), values, np.nan))
 
     def add_program(self, samples: Mapping[str, Array]) -> list[PlotSignal]:
-        """Adds samples of a program: (n, 2), times on the clock of `time.monotonic` and values.
+        """Adds samples of a program's signals.
+
+        Args:
+            samples: mapping from names to samples (n, 2): times of `time.monotonic`, s, and values.
 
         Returns:
-            the new signals among them.
+            the signals that are new.
         """
         new = []
         for name, rows in samples.items():
@@ -136,7 +139,7 @@ class PlotSignals:
         return new
 
     def of(self, signal: PlotSignal, until: float, points: int) -> tuple[Array, Array]:
-        """Returns the last `SPAN` of a signal, oldest first.
+        """Returns the samples of a signal in the time span `SPAN`, oldest first.
 
         Returns:
             times (k,), s, relative to `until`, and values (k,), NaN for no data.

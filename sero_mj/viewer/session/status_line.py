@@ -1,4 +1,4 @@
-"""The texts of the status line (sources, time and frame rate), and messages to the user."""
+"""Text of the status line (sources, time and frame rate), and messages to the user."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Piece = tuple[str, Mood]
 
 
 class Message(NamedTuple):
-    """A message to the user, which is shown until a time of `time.monotonic`, s."""
+    """A message to the user, shown until a time of `time.monotonic`, s."""
 
     text: str = ""
     is_bad: bool = False
@@ -37,7 +37,7 @@ _SLOW = 0.85  # below this fraction of the selected speed, the actual speed is s
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """Returns a short description of a source, and its mood."""
+    """Returns a short description of a source, and the mood of the text."""
     name = found["source"]
     if not is_live:
         return str(found["about"]), "plain"
@@ -66,7 +66,7 @@ def _loss(found: dict[str, Any]) -> str:
 
 
 def clock_text(clock: Clock) -> Piece:
-    """Returns the displayed time, the speed and whether it is paused."""
+    """Returns the displayed time, the speed and the state of the clock, with the mood."""
     if clock.is_live:
         ago = (clock.end or 0.0) - clock.time
         when = f"{time_text(ago)} ago" if clock.is_past else ""

@@ -1,6 +1,6 @@
 """`Tool`: a user interaction with the displayed world, by pointer, keys and panel.
 
-Each tool is one file, found by its entry point. A package adds one in its pyproject.toml:
+Each tool is one file with an entry point. A package adds a tool in pyproject.toml:
 
     [project.entry-points."sero_mj.tools"]
     measure = "my_package:Measure"
@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 Action = Callable[[], str | None]  # returns a message for the user
 Found = TypeVar("Found")
 
-# Old names of methods, for one version.
+# Old names of methods, supported for one version.
 _RENAMED = {
     "hear": "receive",
     "answer": "reply",
@@ -57,7 +57,7 @@ _RENAMED = {
 
 
 class Shown(Protocol):
-    """The window or page of a tool.
+    """The window or page in which a tool works.
 
     Attributes:
         data: state of the mirror; frames are up to date when `draw` and the pointer's methods
@@ -116,14 +116,14 @@ class PointerEvents:
     """The pointer events of a tool; pixels are those of the image, y up."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Handles a click; returns a message, or None to pass the click on."""
+        """Handles a click; returns a message for the user, or None to pass the click on."""
         return None
 
     def hover(self, at: Pixel | None) -> bool:
         """Called in every frame; returns whether a drag from this pixel would grab a handle.
 
         Args:
-            at: the pixel; None if the pointer is outside the image, or drags.
+            at: pixel of the pointer; None outside the image or during a drag.
         """
         return False
 
@@ -143,23 +143,23 @@ class PointerEvents:
         """Called when the pointer moves during a drag."""
 
     def drag(self) -> str:
-        """Applies the drag, in every frame; returns what obstructs it, or an empty text."""
+        """Applies the drag, in every frame; returns what prevents it, or an empty string."""
         return ""
 
     def release(self) -> None:
         """Called when the drag ends."""
 
     def wheel(self, notches: float) -> str | None:
-        """Handles the wheel during a drag; returns a message, or None to zoom the camera."""
+        """Handles the wheel during a drag; returns a message, or None if the camera should zoom."""
         return None
 
 
 class ToolState:
-    """The state of a tool that undo, the next start and the copied command restore."""
+    """The state of a tool that undo, the next start, or a copied command restores."""
 
     @property
     def state(self) -> Any:
-        """State that undo restores, compared with `==`."""
+        """State that undo restores; states are compared with `==`."""
         return ()
 
     def restore(self, state: Any) -> None:
@@ -167,11 +167,11 @@ class ToolState:
 
     @property
     def saved_state(self) -> Any:
-        """State to restore at the next start of the scene, for JSON, or None."""
+        """State that the next start of the scene restores, as JSON data, or None."""
         return None
 
     def restore_saved(self, state: Any) -> None:
-        """Restores a `saved_state`; a TypeError, ValueError or LookupError ignores it."""
+        """Restores a `saved_state`; raises TypeError, ValueError or LookupError to reject it."""
 
     def render_words(self) -> list[str]:
         """Returns the arguments of `sero-mj render` that reproduce the tool's changes."""
@@ -179,13 +179,13 @@ class ToolState:
 
 
 class Tool(PointerEvents, ToolState):
-    """A tool of one window or page; override the methods of the events it needs.
+    """Base class of tools. Override the methods of the events that the tool handles.
 
     Attributes:
-        order: position in the panel from top to bottom, and priority for drags and keys. The tools
-            of sero-mj have 5 to 90.
-        keys: action of each key: a `Key`, or the name of the action and a text for the help.
-        area: title of the area beside the image; empty for none.
+        order: position in the panel from top to bottom, and priority for drags and keys. Tools of
+            sero-mj have the numbers 5 to 90.
+        keys: mapping from keys to actions: a `Key`, or the name of the action and a help text.
+        area: title of the area beside the image, or an empty string for no area.
     """
 
     order: ClassVar[int] = 100
@@ -214,20 +214,20 @@ class Tool(PointerEvents, ToolState):
         return ()
 
     def help_rows(self) -> Sequence[Row]:
-        """Returns rows of input and effect for a column of the help; a heading has no effect."""
+        """Returns the rows of a column in the help: input and effect; headings have no effect."""
         return ()
 
     # ---- frames
 
     def advance(self, passed: float) -> None:
-        """Called before the world advances, `passed` s of real time after the last frame."""
+        """Called before the world advances; `passed` is the real time since the last frame, s."""
 
     def watch(self) -> None:
         """Called for each new state of a live source, a recording or a simulation."""
 
     @property
     def needs_every_state(self) -> bool:
-        """Whether `watch` also needs the states of recordings and simulations between frames."""
+        """Returns whether `watch` also needs states of recordings or simulations between frames."""
         return False
 
     def lay_out(self, frame: Frame) -> None:
@@ -243,7 +243,7 @@ class Tool(PointerEvents, ToolState):
         """Builds the area of this tool beside the image, if `area` and `shows_area` are set."""
 
     def ongoing(self) -> Piece | None:
-        """Returns the text over the image while a recording or the like is in progress."""
+        """Returns the text over the image during, for example, a video recording, or None."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
@@ -251,10 +251,10 @@ class Tool(PointerEvents, ToolState):
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
-        """Returns a message about background work and whether it is an error, or None."""
+        """Returns a message about background work, with whether it is an error; or None."""
         return None
 
-    # ---- the program that has opened the view, see `sero_mj.view`
+    # ---- messages from and to the program that has opened the view, see `sero_mj.view`
 
     def receive(self, message: Any) -> None:
         """Called with each message from the program."""
@@ -267,18 +267,18 @@ class Tool(PointerEvents, ToolState):
 
     @property
     def takes_images(self) -> bool:
-        """Whether frames are drawn in full quality and without panels, for `take_image`."""
+        """Returns whether `take_image` needs frames in full quality and without panels."""
         return False
 
     def wants_image(self, now: float) -> bool:
-        """Whether `take_image` gets this frame, at a time of `time.monotonic`, s."""
+        """Returns whether to pass this frame to `take_image`; `now` is `time.monotonic()`, s."""
         return False
 
     def take_image(self, pixels: Pixels, now: float) -> None:
-        """Receives the image of this frame, (height, width, 3), and its time, s."""
+        """Receives the image of this frame, shape (height, width, 3), and the time, s."""
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """Returns name, goal and T_world_base (4, 4) of the target that a gamepad moves."""
+        """Returns name, goal and T_world_base (4, 4) of the target for a gamepad, or None."""
         return None
 
     def close(self) -> None:
@@ -286,9 +286,9 @@ class Tool(PointerEvents, ToolState):
 
 
 class Tools(Mapping[str, Tool]):
-    """All tools of a window or page by name, in their order.
+    """All tools of a window or page by name, sorted by `order`.
 
-    If a tool of another package fails, the error is logged and reported, and the tool is removed.
+    If a tool of another package fails, the error is logged and shown, and the tool is removed.
     """
 
     def __init__(self, shown: Shown) -> None:
@@ -319,7 +319,7 @@ class Tools(Mapping[str, Tool]):
             self._shown.say(f"the tool {name} has failed and is removed: {error}", is_bad=True)
 
     def call(self, tool: Tool, act: Callable[[Tool], Found]) -> Found | None:
-        """Returns the result of a call; None if the tool fails and is removed."""
+        """Returns the result of a call, or None if the tool fails and is removed."""
         name = next((name for name, each in self._tools.items() if each is tool), "tool")
         result: Found | None = None
         with self._guarding(name, type(tool)):
@@ -327,7 +327,7 @@ class Tools(Mapping[str, Tool]):
         return result
 
     def call_all(self, act: Callable[[Tool], Found]) -> list[Found]:
-        """Returns the results of all tools, in their order."""
+        """Returns the results of all tools, in the order of the tools."""
         results: list[Found] = []
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
@@ -335,7 +335,7 @@ class Tools(Mapping[str, Tool]):
         return results
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
-        """Returns the first tool whose result is not None, with its result."""
+        """Returns the first tool whose result is not None, and the result; or None."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
                 result = act(tool)
@@ -362,7 +362,7 @@ class Tools(Mapping[str, Tool]):
         return any(self.call_all(lambda tool: tool.takes_images))
 
     def distribute_image(self, draw: Callable[[], Pixels]) -> None:
-        """Passes the current image to the tools that want it; draws it only if one does."""
+        """Passes the current image to the tools that want it; draws it only if a tool wants it."""
         now = time.monotonic()
         wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
         if any(wanting):
@@ -378,7 +378,7 @@ class Tools(Mapping[str, Tool]):
         return {name: state for name, state in found.items() if state is not None}
 
     def restore_saved(self, states: Mapping[str, Any]) -> None:
-        """Restores the states of tools; those that do not fit are ignored."""
+        """Restores the states of tools; ignores states that do not fit."""
         for name, state in states.items():
             with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
                 if name in self:
@@ -386,7 +386,7 @@ class Tools(Mapping[str, Tool]):
 
 
 class DrawnTool:
-    """A tool as a feature of decor; a tool that fails is reported and removed."""
+    """Adapts a tool to a feature of decor. A tool that fails is reported and removed."""
 
     def __init__(self, tool: Tool, tools: Tools) -> None:
         self._tool, self._tools = tool, tools
@@ -403,7 +403,8 @@ class DrawnTool:
 class Actions:
     """The actions of a window or page and of its tools by name, and the keys that perform them.
 
-    An action or key of a tool whose name is taken is ignored, with a warning in the log.
+    If two actions have the same name, or two keys are the same, the second is ignored with a
+    warning in the log.
     """
 
     def __init__(
@@ -436,13 +437,13 @@ class Actions:
         self._actions.update(own)
 
     def press(self, key: str, *, is_repeat: bool = False) -> None:
-        """Performs the action of a key, if it has one."""
+        """Performs the action of a key, if there is one."""
         found = self._keys.get(key)
         if found is not None and found.action in self._actions and found.repeats >= is_repeat:
             self.perform(found.action)
 
     def perform(self, action: str) -> None:
-        """Performs an action and shows its message or error."""
+        """Performs an action and shows the resulting message or error."""
         try:
             message = self._actions[action]()
         except SeroError as error:
@@ -453,7 +454,7 @@ class Actions:
 
 
 def tool_kinds() -> dict[str, type[Tool]]:
-    """Returns all installed tools by name, in their order; logs those that cannot be loaded."""
+    """Returns all installed tools by name, sorted by `order`; logs tools that cannot be loaded."""
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 

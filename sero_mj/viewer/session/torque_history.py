@@ -18,21 +18,21 @@ from .binned_history import SHOWN, SPAN, BinnedHistory
 _GAP = 0.25  # minimum duration of a visible gap, s
 _MEASURED, _COMMANDED, _ERROR = range(3)
 _ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
-ROWS = {**_ROWS, "torque_error": _ERROR}  # of every joint
+ROWS = {**_ROWS, "torque_error": _ERROR}  # row of each quantity in the history
 
 
 class TorqueHistory:
-    """The torques of all joints in the last seconds, see `BinnedHistory`.
+    """Stores the torques of all joints in the last seconds, see `BinnedHistory`.
 
-    `add_packets` adds all packets of live sources; `add` adds everything else, with one sample per
-    frame or every few ms. If time goes back, later samples are deleted.
+    `add_packets` adds all packets of live sources. `add` adds all other torques, with one sample
+    per frame or every few ms. If time goes back, later samples are deleted.
 
     Args:
         routes: routes of the packets for `add_packets`.
         span: duration of the history, s.
 
     Attributes:
-        until: end of the returned torques, s; the newest sample if None.
+        until: end of the returned time span, s; None for the time of the newest sample.
     """
 
     def __init__(self, world: WorldView, routes: Iterable[Route] = (), span: float = SPAN) -> None:
@@ -41,7 +41,7 @@ class TorqueHistory:
         self._world = world
         self._staleness = Staleness(world)
         self._history = BinnedHistory((3, joints), span)
-        # Route, row and joints of the torques, by source.
+        # By source: route, row and joints of the torques.
         self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
         self._by_packet = np.zeros((3, joints), bool)
         for route in routes:
@@ -51,7 +51,7 @@ class TorqueHistory:
                 self._by_packet[[row, _ERROR], owner.joints] = True
 
     def add(self, data: mujoco.MjData) -> None:
-        """Adds the torques at `data.time`, except those of `add_packets`."""
+        """Adds the torques at `data.time`, except torques that `add_packets` adds."""
         history = self._history
         if data.time < history.newest - 1e-9:
             history.restart()
@@ -64,12 +64,12 @@ class TorqueHistory:
             history.forget(np.where(gap > 0, data.time - gap + 1e-6, np.inf)[None])
 
     def add_packets(self, data: mujoco.MjData, source: str, packets: Packets, now: float) -> None:
-        """Adds the torques of packets, each at its arrival.
+        """Adds the torques of packets, each at the arrival time of the packet.
 
         Args:
             data: state of the world before the last packet is applied; `data.time` is the current
                 time.
-            now: current time on the clock of the arrivals, s.
+            now: current time on the clock of the arrival times, s.
         """
         routes = self._routes.get(source)
         if routes is None:
@@ -102,8 +102,8 @@ class TorqueHistory:
             points: see `BinnedHistory.until`.
 
         Returns:
-            times (k,), s, relative to the newest (0 and below), and values (3, k): measured,
-            commanded, and commanded - measured, Nm or N, NaN for no data.
+            times (k,), s, relative to the newest time (0 or negative), and values (3, k):
+            measured, commanded, and commanded - measured, Nm or N, NaN for no data.
         """
         times, values = self._history.until(self.until, points, (slice(None), joint))
         times = times - times[-1:]
@@ -111,7 +111,7 @@ class TorqueHistory:
         return times[is_recent], values[:, is_recent]
 
     def one(self, joint: int, key: str, points: int) -> tuple[Array, Array]:
-        """Returns a torque of a joint, one of `ROWS`, oldest first.
+        """Returns one quantity of `ROWS` of a joint, oldest first.
 
         Returns:
             times (k,), s, and values (k,), Nm or N, NaN for no data.

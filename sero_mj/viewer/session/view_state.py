@@ -18,15 +18,15 @@ from ..image.camera import find_camera
 from ..image.switches import SWITCH_NAMES, apply_switches, find_joint, switches_text
 from .clock import Clock
 
-_DECIMALS = 4  # of degrees and m
-_MAX_CHARACTERS = 200_000  # of a state as text, which has a digit for each switch of each joint
+_DECIMALS = 4  # decimals of angles in degrees and positions in m
+_MAX_CHARACTERS = 200_000  # length of a state as text, with a digit for each switch of each joint
 _MAX_TIME = 1e9  # s
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")
 
 
 class _Text(BaseModel):
-    """A state as text; the parser limits its nesting."""
+    """The JSON form of a state. The parser limits the nesting."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -40,9 +40,9 @@ class ViewState(NamedTuple):
     """The user's settings of a view.
 
     Attributes:
-        camera: in the format of `find_camera`; empty for the scene's own view.
-        switches: switches that differ from the scene's, in the format of `apply_switches`.
-        joint: selected joint; empty for none.
+        camera: camera in the format of `find_camera`, or an empty string for the scene's view.
+        switches: switches that differ from the scene, in the format of `apply_switches`.
+        joint: name of the selected joint, or an empty string.
         time: displayed time, s; None for live sources.
     """
 
@@ -52,7 +52,7 @@ class ViewState(NamedTuple):
     time: float | None = None
 
     def to_text(self) -> str:
-        """Returns one line of JSON without the defaults."""
+        """Returns one line of JSON, without fields that have the default."""
         found = {
             name: value for name, value in self._asdict().items() if value not in ("", {}, None)
         }
@@ -60,7 +60,7 @@ class ViewState(NamedTuple):
 
     @classmethod
     def from_text(cls, text: str) -> ViewState:
-        """Returns the view of a text from `to_text`.
+        """Returns the view that `to_text` has written as text.
 
         Raises:
             UsageError: the text is invalid.
@@ -92,7 +92,7 @@ def view_state_of(
 
 
 def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
-    """Returns a camera in the format of `find_camera`: its name, or six numbers."""
+    """Returns a camera in the format of `find_camera`: the camera's name, or six numbers."""
     if int(camera.type) == int(mujoco.mjtCamera.mjCAMERA_FIXED):
         return str(world.model.camera(camera.fixedcamid).name)
     numbers = (camera.azimuth, camera.elevation, camera.distance, *camera.lookat)
@@ -102,10 +102,10 @@ def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
 def apply_state(
     world: WorldView, toggles: Toggles, state: ViewState
 ) -> tuple[mujoco.MjvCamera | None, int | None, list[str]]:
-    """Applies a state to the switches of a world, as far as it fits.
+    """Applies a state to the switches of a world, and skips settings that do not fit.
 
     Returns:
-        the camera, None for the scene's view; the selected joint; and the errors.
+        the camera, or None for the scene's view, the selected joint, and the errors.
     """
     errors: list[str] = []
     camera = None
@@ -130,11 +130,11 @@ def apply_state(
 
 
 class ViewSnapshot(NamedTuple):
-    """The exact state of a view for undo, compared with `==`.
+    """The exact state of a view for undo; states are compared with `==`.
 
     Attributes:
         camera: type, ids of camera and body, azimuth, elevation and distance.
-        lookat: (3,), m; None if the camera follows a frame.
+        lookat: look-at point, shape (3,), m; None if the camera follows a frame.
     """
 
     camera: tuple[float, ...]

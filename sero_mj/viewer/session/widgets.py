@@ -1,8 +1,8 @@
-"""`Widgets`: the widgets of panels, the same in windows and on pages.
+"""`Widgets`: the interface of the widgets of panels, which is the same for windows and pages.
 
-Windows draw them with Dear ImGui, and pages with HTML elements. A panel builds all its widgets in
-every frame; the methods return what the user has changed. `##` and the rest of a label are not
-displayed and distinguish widgets with the same label.
+Windows draw widgets with Dear ImGui, and pages show HTML elements. A panel builds all its widgets
+in every frame, and the methods return the user's changes. A label may end in `##` and an
+identifier, which is not displayed and distinguishes widgets with the same label.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from ...base.frames import Array
 from .status_line import Mood
 
 Rgb = tuple[float, float, float]
-# Marks of a slider: value, mood, and the text that is shown while the value is near.
+# Marks of a slider: value, mood, and text that is shown while the slider is near this value.
 Ticks = Sequence[tuple[float, Mood, str]]
 
 
@@ -22,9 +22,9 @@ class PlotLine(NamedTuple):
     """A line of a plot.
 
     Attributes:
-        rgb: color, 0 to 1.
-        x: (k,), increasing.
-        y: (k,), NaN for a gap.
+        rgb: color components, 0 to 1.
+        x: x coordinates, shape (k,), increasing.
+        y: y coordinates, shape (k,), NaN for a gap.
     """
 
     name: str
@@ -34,9 +34,9 @@ class PlotLine(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """A plot with its lines and the ranges of its axes.
+    """A plot, with lines and the ranges of the axes.
 
-    `limits` are values of y that are marked if they are in the range.
+    `limits` are y values that are marked if they are within the range.
     """
 
     x_unit: str
@@ -51,9 +51,10 @@ class Widgets(Protocol):
     """Builds the widgets of a panel; lengths are in units of the text height.
 
     Attributes:
-        points: approximate maximum number of points of a plotted line.
+        points: approximate maximum number of points in a line of a plot.
         interval: time between two updates of a plot, s.
-        folds: whether each section that the user has opened or closed is open, by scopes and label.
+        folds: whether a section is open, for each section that the user has opened or closed, by
+            scopes and label.
     """
 
     points: int
@@ -71,19 +72,19 @@ class Widgets(Protocol):
     def title(self, words: str) -> None: ...
 
     def header(self, label: str, *, is_open: bool = False) -> bool:
-        """Begins a foldable section; returns whether it is open.
+        """Begins a foldable section; returns whether the section is open.
 
         Args:
-            is_open: whether it is open until the user opens or closes it, see `folds`.
+            is_open: initial state, until the user opens or closes the section, see `folds`.
         """
 
     def tree(self, label: str) -> bool:
-        """Begins a node of a tree; returns whether it is open and must be ended by `end_tree`."""
+        """Begins a node of a tree. Returns whether the node is open; then call `end_tree`."""
 
     def end_tree(self) -> None: ...
 
     def table(self, name: str, widths: Sequence[float]) -> bool:
-        """Begins a table; returns whether it is visible and must be ended by `end_table`.
+        """Begins a table. Returns whether the table is visible; then call `end_table`.
 
         Args:
             widths: widths of the columns; 0 for a share of the remaining width.
@@ -103,7 +104,7 @@ class Widgets(Protocol):
         """Puts the next widget beside the last one.
 
         Args:
-            left: left edge; 0 for beside the last widget.
+            left: position of the left edge; 0 for directly beside the last widget.
             gap: distance from the last widget; -1 for the default.
         """
 
@@ -113,7 +114,7 @@ class Widgets(Protocol):
     def tip(self, words: str) -> None: ...
 
     def disable(self, *, is_off: bool) -> None:
-        """Begins widgets that are grayed out if `is_off`, until `enable`."""
+        """Grays out the widgets up to the call of `enable` if `is_off`."""
 
     def enable(self) -> None: ...
 
@@ -121,28 +122,28 @@ class Widgets(Protocol):
         """Returns whether the button was pressed."""
 
     def select(self, label: str, *, is_lit: bool) -> bool:
-        """Builds a text that can be clicked; returns whether it was clicked."""
+        """Builds a clickable text; returns whether the text was clicked."""
 
     def search(self, label: str, text: str, hint: str) -> str:
-        """Builds a text field; returns its text.
+        """Builds a text field; returns the text in the field.
 
         Args:
             hint: text that is shown while the field is empty.
         """
 
     def check(self, label: str, is_on: bool) -> tuple[bool, bool]:
-        """Builds a check box; returns whether it was changed, and whether it is on."""
+        """Builds a check box; returns whether the user has changed it, and whether it is on."""
 
     def choose(self, label: str, index: int, names: Sequence[str]) -> tuple[bool, int]:
-        """Builds a drop-down list; returns whether the choice was changed, and its index."""
+        """Builds a drop-down list; returns whether the user has chosen, and the chosen index."""
 
     def slide(
         self, label: str, value: float, low: float, high: float, text: str, ticks: Ticks = ()
     ) -> tuple[bool, float]:
-        """Builds a slider; returns whether it was moved, and its value.
+        """Builds a slider; returns whether the user has moved it, and the value.
 
         Args:
-            text: printf format of the value, such as `%.1f deg`; empty for none.
+            text: printf format of the value, such as `%.1f deg`; an empty string shows no value.
         """
 
     def plot(self, plot: Plot, height: float) -> None: ...

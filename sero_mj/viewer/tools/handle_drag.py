@@ -9,10 +9,8 @@ from ..decor.handles import CUBE, ring_radius
 from ..decor.image_view import ImageView
 from ..image.picking import Pixel
 
-_EDGE_ON = 0.2  # |axis . line of sight| of a ring; below this it appears as a line
-_HEAD_ON = (
-    0.05  # sin^2 of the angle between an arrow and the line of sight; below this it is ignored
-)
+_EDGE_ON = 0.2  # |axis . line of sight| of a ring; below this the ring appears as a line
+_HEAD_ON = 0.05  # sin^2 of the angle between an arrow and the line of sight; smaller: drag ignored
 
 
 def dragged(pose: Array, handle: int, view: ImageView, begin: Pixel, now: Pixel) -> Array:
@@ -60,7 +58,7 @@ def _along(view: ImageView, origin: Array, axis: Array, pixel: Pixel) -> float:
 def _about(view: ImageView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
     sight = (origin - view.position) / np.linalg.norm(origin - view.position)
     if abs(float(sight @ axis)) < _EDGE_ON:
-        # The near side of the ring moves along this line of the image.
+        # The near side of the ring moves along this line in the image.
         along = np.cross(axis, -sight)
         moved = _in_image(view, origin, now) - _in_image(view, origin, begin)
         return float(moved @ along) / ring_radius(origin, view)

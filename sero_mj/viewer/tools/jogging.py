@@ -1,4 +1,4 @@
-"""`Jogging`: moves robots that have no data, by sliders, typed poses and dragged links.
+"""`Jogging`: moves robots that have no data with sliders, typed poses and dragged links.
 
 The displayed angles approach the requested ones smoothly. If no torques are received either, the
 torques that hold the robot against gravity are computed from its model and displayed.
@@ -24,14 +24,14 @@ from ..session.widgets import Widgets
 from .handle_drag import target_of
 
 _TIME = 0.04  # time constant of the approach, s
-_LED = 1.0  # s; a program that sets angles at shorter intervals controls the robot
+_LED = 1.0  # s; a program that sets angles at shorter intervals is in control of the robot
 
 
 class Jogging(Tool):
-    """The robots of a mirror that are moved by hand.
+    """Moves the robots of a mirror that have no data.
 
     Attributes:
-        goals: goals of the robots without data, by name.
+        goals: mapping from the names of robots without data to their joint goals.
     """
 
     order: ClassVar[int] = 20
@@ -46,7 +46,9 @@ class Jogging(Tool):
             name: JointGoal(part.robot, data.qpos[part.qpos]) for name, part in parts.items()
         }
         self._written = {name: self._shown(name) for name in self.goals}
-        self._since = dict.fromkeys(self.goals, np.inf)  # s since a program has set their angles
+        self._since = dict.fromkeys(
+            self.goals, np.inf
+        )  # by robot: time since a program set the angles, s
         self._fastest = {
             name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
@@ -168,14 +170,14 @@ class Jogging(Tool):
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
-    """Returns the next displayed angles; they equal the requested ones in the end."""
+    """Returns the next displayed angles, which finally equal the requested angles."""
     error = wanted - shown
     step = np.clip(error * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
     return np.asarray(np.where(np.abs(error) < 1e-5, wanted, shown + step))
 
 
 def link_number(robot: SerialRobot, label: str) -> int:
-    """Returns the index of the link of a frame: `base`, `link3` or `flange`."""
+    """Returns the index of the link with a frame label such as `base`, `link3` or `flange`."""
     if label == "base":
         return 0
     if label == "flange":

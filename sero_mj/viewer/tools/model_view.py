@@ -1,4 +1,4 @@
-"""`ModelView`: switches for how the model is drawn: contacts, inertias, joints, names."""
+"""`ModelView`: switches for MuJoCo's drawing of contacts, inertias, joints, names and so on."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from ..session.widgets import Widgets
 
 # Lengths in units of the text height.
 _SECOND = 8.6  # left edge of the second widget of a line
-_WIDTH = 8.6  # of the drop-down list
+_WIDTH = 8.6  # width of the drop-down list
 # Switch, label and tooltip.
 _LINES = (
     (
-        ("contacts", "contacts", "contact points, with their forces if these are known"),
+        ("contacts", "contacts", "contact points, with contact forces if they are known"),
         (
             "inertias",
             "inertias",
@@ -33,7 +33,7 @@ _LINES = (
 
 
 class ModelView(Tool):
-    """The section Model of the panel; its switches are part of `Toggles`."""
+    """The panel section Model, whose switches are part of `Toggles`."""
 
     order: ClassVar[int] = 75
 

@@ -1,4 +1,4 @@
-"""`Plots`: plots the torques of the selected joint and other signals over the last seconds."""
+"""`Plots`: plots torques of the selected joint, and other signals, over the last seconds."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ..session.widgets import Widgets
 
 _AREA = "Plots"
 _MIN_TORQUES = 12.0  # minimum height of the torques above other plots, in text heights
-_SHARE = 0.4  # of the height, for the torques
+_SHARE = 0.4  # fraction of the height for the torques
 
 
 class Plots(Tool):
@@ -70,7 +70,7 @@ class Plots(Tool):
         self.history.add_packets(self.shown.data, source, packets, now)
 
     def receive(self, message: Mapping[str, Array]) -> None:
-        """Adds samples of the program, see `PlotSignals.add_program`."""
+        """Adds samples that the program has sent, see `PlotSignals.add_program`."""
         if not self.shown.clock.is_live and self.shown.clock.is_paused:
             return  # time does not advance
         new = self.signals.add_program(message)

@@ -1,4 +1,4 @@
-"""`RollingRecorder`: saves the last minute of live sources as a recording, page and video."""
+"""`RollingRecorder`: saves the last minute of live data as a recording, a page and a video."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SIGNALS_RATE = 100.0  # decoded values per second, so that a minute is decoded 
 
 
 class RollingRecorder(Tool):
-    """Stores the packets of live sources in memory, and writes those of the last minute.
+    """Stores the packets of live sources in memory, and saves the last minute on request.
 
     Attributes:
         finishes_videos: whether `close` waits for unfinished pages and videos.

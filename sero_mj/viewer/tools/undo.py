@@ -1,4 +1,4 @@
-"""`UndoTool`: undoes and redoes the user's changes of a view."""
+"""`UndoTool`: undoes and redoes the user's changes to a view."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MAX_STEPS = 200
 
 
 class Undo(Generic[State]):
-    """Watches a state in every frame; changes without a pause are one step."""
+    """Undo history of a state that is read in every frame. Changes without a pause are one step."""
 
     def __init__(self, read: Callable[[], State], write: Callable[[State], None]) -> None:
         self._read, self._write = read, write

@@ -1,6 +1,6 @@
 """`UserPanelsTool`: shows the widgets of the program that has opened the viewer.
 
-`program/panels.py` is the side of the program.
+`program/panels.py` is the counterpart in the program's process.
 """
 
 from __future__ import annotations

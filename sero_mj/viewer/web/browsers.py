@@ -1,4 +1,4 @@
-"""`Browsers`: all browsers that show a page; one of them has control."""
+"""`Browsers`: all browsers that show a page, one of which has control."""
 
 from __future__ import annotations
 
@@ -28,21 +28,21 @@ from .messages import (
 )
 from .sections import Sections, message_of
 
-# Messages that a browser has not acknowledged; with more, a slow browser would lag behind.
+# Maximum number of unacknowledged messages; with more messages, a slow browser would lag behind.
 _MAX_PENDING = 3
-_MAX_QUEUED = 2000  # received messages; more wait in their connections
+_MAX_QUEUED = 2000  # received messages; further messages wait in the connections
 _MAX_BROWSERS = 64
-_MAX_PER_SECOND = 1000  # messages of a browser; it sends about 150 during a drag
+_MAX_PER_SECOND = 1000  # messages of a browser; a drag causes about 150 per second
 _PAUSE = 0.02  # s between checks for space in the queue
 _TOO_BIG, _TRY_LATER = 1009, 1013  # codes of closed websockets
 
 
 class Browsers:
-    """The browsers of a page; used by the server's thread and by the page's thread.
+    """The browsers of a page. The server's thread and the page's thread both use this object.
 
     Args:
         sections: state of the page.
-        kinds: accepted messages, see `MessageReader`.
+        kinds: accepted kinds of messages, see `MessageReader`.
 
     Attributes:
         sent: number of states that were sent to all browsers.
@@ -73,7 +73,7 @@ class Browsers:
         return None if browser is None else browser.sender.is_local
 
     def is_in_control(self, key: str) -> bool:
-        """Whether a key is that of the browser in control; only its connection has received it."""
+        """Whether a key is the secret key of the connection that has control."""
         browser = self._browsers.get(self._holder or 0)
         return browser is not None and same_text(key, browser.key)
 
@@ -92,7 +92,7 @@ class Browsers:
         for browser in [*self._browsers.values()]:
             browser.wake.set()
 
-    # ---- on the server's thread
+    # ---- methods for the server's thread
 
     async def talk(self, connection: ServerConnection) -> None:
         if len(self._browsers) >= _MAX_BROWSERS:

@@ -12,18 +12,17 @@ from websockets.http11 import Request, Response
 # For websockets. Higher levels take up to twice as long and save 3 %.
 DEFLATE = ServerPerMessageDeflateFactory(compress_settings={"level": 1})
 # For files and models, which are compressed once while a browser waits. Higher levels take more
-# than
-# twice as long and save 4 %.
+# than twice as long and save 4 %.
 _LEVEL = 4
 _MIN_SIZE = 1024  # bytes
-_CACHE = 32 * 2**20  # compressed bytes
+_CACHE = 32 * 2**20  # maximum size of all cached results, bytes
 _GZIP = 16 + zlib.MAX_WBITS
 
 
 class CompressedResponses:
     """Compresses responses for browsers that accept it, and caches the results.
 
-    A file that has not changed since a browser fetched it is not sent again.
+    A file is not sent again to a browser that already has the current version.
     """
 
     def __init__(self) -> None:
@@ -31,7 +30,7 @@ class CompressedResponses:
         self._cached: collections.OrderedDict[tuple[int, int], bytes] = collections.OrderedDict()
 
     def compress(self, request: Request, response: Response) -> None:
-        """Compresses the body of a response of status 200 if that makes it shorter."""
+        """Compresses the body of a response with status 200 if the result is shorter."""
         body, headers = response.body, response.headers
         if response.status_code != 200 or not body or len(body) < _MIN_SIZE:
             return

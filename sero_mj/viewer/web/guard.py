@@ -1,33 +1,34 @@
 """Access control of the page's server.
 
-It refuses requests of websites that are open in the user's browser, and of other users of this
-machine, who can connect to every port and send any headers.
+The guard refuses requests of websites that are open in the user's browser, and requests of other
+users of this machine, who can connect to every port and send any headers.
 
 Three headers that websites cannot forge are checked on every path:
 
 - `Host` must name this machine. This excludes external names that resolve to it (DNS rebinding).
-- `Origin`, if present, must be that of the page.
-- Requests of other sites are refused, except for opening the page itself.
+- `Origin`, if present, must be the origin of the page.
+- `Sec-Fetch-Site` must not name another site, except for opening the page.
 
 Other users are refused by a token, which a page has by default:
 
 - The printed link contains it (`?token=`). A script of the page, `access.js`, stores the token in
   the browser's `localStorage`, which belongs to one origin (scheme, name and port), and removes it
   from the address bar. So a reload, a second tab and a link to a view need no token.
-- There is no cookie: browsers send cookies to every port of a host, so another user's server on
-  another port would receive it.
-- The page's HTML, scripts and styles contain no secret and need no token. Everything else does: the
-  websockets, the scenes and images of the start page, and uploads. The script adds the token to
+- The token is not stored in a cookie, because browsers send cookies to every port of a host.
+  Another user's server on another port would receive the cookie.
+- The page's HTML, scripts and styles contain no secret and need no token. The websockets, the
+  scenes and images of the start page, and uploads need the token. The script adds the token to
   their addresses.
 - An upload also needs the key of the connection in control, which only that connection has
   received, see `Browsers.is_in_control`. Someone who has only the token must take control first,
   which all browsers display.
-- The server listens on both loopback addresses. Otherwise another user could listen on the other
-  one, and browsers that resolve `localhost` to it would send the token there.
-- A token is valid as long as its viewer. A viewer uses the same port for all its pages, see
-  `PageListener`. If another user gets the port after that, a received token is of no use.
+- The server listens on both loopback addresses. Otherwise another user could listen on the second
+  address, and browsers that resolve `localhost` to this address would send the token there.
+- A token is valid until its viewer ends. A viewer uses the same port for all pages, see
+  `PageListener`. If another user gets the port later, a received token is useless.
 
-Programs send neither `Origin` nor `Sec-Fetch-Site`; Host and token are sufficient for them.
+Programs other than browsers send neither `Origin` nor `Sec-Fetch-Site`. They need only the host and
+the token.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ from websockets.http11 import Request, Response
 log = logging.getLogger(__name__)
 
 TOKEN_BYTES = 24
-_MAX_LOGGED = 10  # refused requests
+_MAX_LOGGED = 10  # maximum number of refused requests in the log
 _PAGE_PATHS = ("/", "/index.html")
 _FORWARDED = ("Forwarded", "X-Forwarded-For", "X-Real-IP", "Via")  # headers of proxies
 # A page only connects to its own server, and runs no inline scripts.
@@ -70,8 +71,8 @@ def is_loopback(address: str) -> bool:
 def is_local(connection: ServerConnection) -> bool:
     """Whether a connection comes from this machine.
 
-    SSH tunnels and notebook kernels do: their users can run programs here anyway. Connections that
-    declare a proxy do not.
+    Connections through SSH tunnels and notebook kernels count as local, because their users can run
+    programs on this machine anyway. Connections that declare a proxy do not count.
     """
     request, peer = connection.request, connection.remote_address
     if request is None or not isinstance(peer, tuple) or not is_loopback(str(peer[0])):
@@ -80,7 +81,7 @@ def is_local(connection: ServerConnection) -> bool:
 
 
 def same_text(text: str, expected: str) -> bool:
-    """Whether two texts are equal, in a time that does not depend on their difference."""
+    """Whether two strings are equal, compared in a time that does not depend on the contents."""
     return hmac.compare_digest(text.encode("utf-8", "replace"), expected.encode())
 
 
@@ -94,7 +95,7 @@ class Guard:
 
     Args:
         bound: IP address that the server listens on.
-        host: address or name that the user specified for it.
+        host: address or name that the user has specified for the server.
         token: required token, if any.
         public: paths of files that need no token.
     """
@@ -150,10 +151,10 @@ class Guard:
             return f"found Host {host!r}; expected {self._expected()}"
         own = [f"{scheme}://{host.lower()}" for scheme in ("http", "https")]
         if origin is not None and origin.lower() not in own:
-            return f"found Origin {origin!r}; expected the page's own, http://{host}"
+            return f"found Origin {origin!r}; expected the origin of the page, http://{host}"
         is_opened = mode == "navigate" and path in _PAGE_PATHS
         if site in ("cross-site", "same-site") and not is_opened:
-            return f"found Sec-Fetch-Site {site!r}; expected the page's own requests"
+            return f"found Sec-Fetch-Site {site!r}; expected a request of the page"
         return None
 
     def _is_own_host(self, name: str) -> bool:

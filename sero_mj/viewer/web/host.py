@@ -33,16 +33,16 @@ RATE = 60.0  # frames per second
 class WebHost(LiveHost):
     """Shows a mirror on a web page, which browsers render with the player.
 
-    Any number of browsers can connect; one of them has control by mouse, keys and panels.
+    Any number of browsers can connect. One of them is in control, with mouse, keys and panels.
 
     Args:
         mirror: an open mirror, which the page's clock advances.
-        camera: see `find_camera`.
+        camera: initial camera, see `find_camera`.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
         token: see `PageServer`.
         waits: whether recordings and simulations start when the first browser connects.
-        folder: see `LiveHost`.
+        folder: directory of saved files, see `LiveHost`.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -116,7 +116,7 @@ class WebHost(LiveHost):
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Serves one frame; without `wait`, only if one is due."""
+        """Serves one frame. Without `wait`, serves a frame only if it is time for the next one."""
         if not self.is_open:
             return False
         if not (wait or self.is_due):
@@ -156,7 +156,7 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address of the page with this view, without the token, which browsers have stored."""
+        """Address of the page with the current view, without the token that browsers store."""
         view = urllib.parse.quote(self.view_state().to_text(), safe="")
         return f"{self.server.plain_url}#view={view}"
 
@@ -167,7 +167,7 @@ class WebHost(LiveHost):
     def to_clipboard(self, text: str) -> None:
         self.browsers.send_event({"copy": text})
 
-    # ---- pictures
+    # ---- images
 
     @property
     def image_size(self) -> tuple[int, int]:

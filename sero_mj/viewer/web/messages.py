@@ -1,8 +1,8 @@
-"""The messages of browsers: each kind with its fields, their types and bounds.
+"""The kinds of messages from browsers, with the types and bounds of the fields.
 
-`MessageReader` is the only code that parses them. A new kind is a class here, a member of
-`ForScene` or `ForStartPage`, and a handler of the page. All kinds except `Got` and `Control` are
-ignored unless they come from the browser in control, see `Browsers`.
+Only `MessageReader` parses messages. A new kind needs a class here, a place in `ForScene` or
+`ForStartPage`, and a handler in the page. Messages other than `Got` and `Control` are ignored
+unless they come from the browser in control, see `Browsers`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-MAX_BYTES = 2**15  # of a message; only a view in a link exceeds about 100 bytes
-MAX_PIXELS = 20_000  # of a page, in either direction
+MAX_BYTES = 2**15  # size of a message; only a view in a link exceeds about 100 bytes
+MAX_PIXELS = 20_000  # width and height of a page
 _MAX_LENGTH = 1e6  # m
 _MAX_DEGREES = 1e6
 _MAX_COUNT = 2**31
@@ -20,7 +20,7 @@ _MAX_NUMBER = 1e300
 
 
 class PageMessage(BaseModel):
-    """Base of all messages; unknown fields and other types are errors."""
+    """Base class of all messages; unknown fields and wrong types are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -32,7 +32,7 @@ _Degrees = Annotated[float, Field(gt=-_MAX_DEGREES, lt=_MAX_DEGREES)]
 _Index = Annotated[int, Field(ge=0, lt=_MAX_COUNT)]
 _Name = Annotated[str, Field(max_length=300)]
 _Path = Annotated[str, Field(max_length=4096)]
-_Id = Annotated[str, Field(max_length=2000)]  # of a widget: its label and scopes
+_Id = Annotated[str, Field(max_length=2000)]  # identifier of a widget: label and scopes
 
 
 class Got(PageMessage):
@@ -42,7 +42,7 @@ class Got(PageMessage):
 
 
 class Control(PageMessage):
-    """The browser takes control."""
+    """The user takes control of the page."""
 
     t: Literal["control"]
 
@@ -68,7 +68,7 @@ class CameraMessage(PageMessage):
 
 
 class PointerMessage(PageMessage):
-    """The pointer at a pixel, from the upper left corner of the image."""
+    """An event of the pointer at a pixel, from the upper left corner of the image."""
 
     t: Literal["pointer"]
     kind: Literal["press", "release", "move", "leave"]
@@ -80,20 +80,20 @@ class PointerMessage(PageMessage):
 
 
 class Wheel(PageMessage):
-    """Wheel notches away from the user."""
+    """A rotation of the wheel, in notches away from the user."""
 
     t: Literal["wheel"]
     n: _Pixel
 
 
 class HoldMessage(PageMessage):
-    """A finger is held still."""
+    """The user holds a finger still on the screen."""
 
     t: Literal["hold"]
 
 
 class KeyMessage(PageMessage):
-    """A key or a combination of keys."""
+    """The user has pressed a key or a combination of keys."""
 
     t: Literal["key"]
     key: Annotated[str, Field(max_length=40)]
@@ -115,7 +115,7 @@ class Card(PageMessage):
 
 
 class Widget(PageMessage):
-    """The user has changed a widget of a panel, or pressed it."""
+    """The user has changed or pressed a widget of a panel."""
 
     t: Literal["widget"]
     tree: _Name
@@ -129,7 +129,7 @@ class Widget(PageMessage):
 
 
 class Fold(PageMessage):
-    """A section of a panel is opened or closed."""
+    """The user opens or closes a section of a panel."""
 
     t: Literal["fold"]
     tree: _Name
@@ -145,7 +145,7 @@ class CloseArea(PageMessage):
 
 
 class ViewMessage(PageMessage):
-    """A view of a link, see `ViewState.from_text`."""
+    """A view from a link, see `ViewState.from_text`."""
 
     t: Literal["view"]
     text: Annotated[str, Field(max_length=20_000)]
@@ -165,7 +165,7 @@ class OpenShown(PageMessage):
     scene: _Path
 
 
-# Only these are read from browsers without control.
+# Only these kinds are accepted from browsers without control.
 ForAll = Got | Control
 ForScene = (
     ForAll
@@ -185,7 +185,7 @@ ForStartPage = ForAll | OpenTile | OpenShown
 
 
 class Left(NamedTuple):
-    """The browser in control has disconnected or lost control; created by the server."""
+    """The browser in control has disconnected or lost control. The server creates this message."""
 
 
 class MessageSender(NamedTuple):
@@ -216,7 +216,7 @@ class MessageReader:
         self._adapter: TypeAdapter[PageMessage] = TypeAdapter(found)
 
     def read(self, message: str | bytes) -> PageMessage | None:
-        # The parser limits nesting; longer texts are not parsed.
+        # The parser limits nesting. Longer messages are not parsed.
         if not isinstance(message, str) or len(message) > MAX_BYTES:
             return None
         try:

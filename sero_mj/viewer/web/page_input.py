@@ -52,7 +52,7 @@ class PageInput:
         self.wrong = 0
         self.sender = MessageSender(0, is_local=False)
         self.is_dragging = self.is_on_handle = False
-        # One for each kind of `ForScene`, except those that `Browsers` handles.
+        # A handler for each kind of `ForScene`, except the kinds that `Browsers` handles.
         self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             PageSize: self._size,
             CameraMessage: self._camera,
@@ -75,7 +75,7 @@ class PageInput:
                 self._acts[type(message)](message)
             except (ArithmeticError, LookupError, TypeError, ValueError):
                 self.wrong += 1
-                log.debug("a message of a page is ignored: %.200r", message, exc_info=True)
+                log.debug("a message of a browser is ignored: %.200r", message, exc_info=True)
 
     def point(self) -> None:
         """Shows the name of the item under the pointer."""
@@ -95,11 +95,11 @@ class PageInput:
         self._update_view()
 
     def _update_view(self) -> None:
-        """Makes the next click use the current camera."""
+        """Updates the view, so that the next click uses the current camera."""
         self._host.decor.view = self._page_view.of_data(self._host.data)
 
     def _pointer(self, message: PointerMessage) -> None:
-        if message.kind == "leave":  # a finger was lifted or replaced: nothing is released
+        if message.kind == "leave":  # the finger was lifted or replaced, which releases nothing
             self._leave()
             return
         at = self._pixel(message)

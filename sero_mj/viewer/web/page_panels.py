@@ -1,4 +1,4 @@
-"""`PagePanels`: the panels of a page, built as in windows, as trees of nodes."""
+"""`PagePanels`: builds the panels of a page with the code for windows, as trees of nodes."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
-REQUEST = "request"  # the tree of the dialog about the programs of a file
+REQUEST = "request"  # name of the tree with the dialog about the programs of a file
 _EM = 14.0  # text height in `page.css`, pixels
 _INTERVAL = 1.0 / 15.0  # s between two updates of panels
-_NARROW = 800  # pixels; a narrower page starts without its panel
-# In text heights: width of the panel, maximum width and height of an area, height of its frame.
+_NARROW = 800  # pixels; in a narrower page, the panel is initially hidden
+# In text heights: width of the panel, maximum width and height of an area, frame height of an area.
 _PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT, _FRAME = 23.0, 32.0, 48.0, 4.0
 _TALL = 400.0  # height of a panel, which scrolls
 
@@ -60,7 +60,8 @@ class PagePanels:
             frame_rate: frames per second.
             geoms: number of geoms of decor.
             size: size of the image, pixels.
-            is_local: whether the browser in control is on this machine; None if there is none.
+            is_local: whether the browser in control is on this machine; None if no browser is in
+                control.
         """
         host, put, now = self._host, self._sections.put, time.monotonic()
         ongoing = host.tools.ongoing

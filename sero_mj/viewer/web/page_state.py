@@ -1,7 +1,7 @@
-"""`PageState`: the displayed state of a frame, as sections of a page.
+"""`PageState`: writes the displayed state of each frame to the sections of a page.
 
-Poses, values and decor are those of windows. Text that windows place in pixels (billboards, labels,
-notes) is sent with its position in the world; the browser lays it out.
+Pages show the same poses, values and decor as windows. Text that windows place in pixels
+(billboards, labels, notes) is sent with a position in the world, and the browser lays it out.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from .sections import Sections
 
 _KEYS = ["joint_angles"]  # joint values that the page uses
 _COLUMNS = re.compile(r" {2,}")  # separates the columns of a line
-_TEXT_DIGITS = 4  # of positions of text, m
+_TEXT_DIGITS = 4  # decimals of text positions in m
 
 
 class PageState(FrameTaker):
@@ -48,7 +48,7 @@ class PageState(FrameTaker):
     def begin(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, needed: float, title: str
     ) -> None:
-        """Puts the constant part: shapes, joints and cameras."""
+        """Puts the constant sections: shapes, joints and cameras."""
         self._sections.put("valueKeys", _KEYS)
         self._sections.put("run", encode(capture_pose(self._world, data, camera, needed), title))
 
@@ -62,7 +62,7 @@ class PageState(FrameTaker):
         ]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
-        """Puts the frame that the decor has drawn last."""
+        """Puts the last frame that the decor has drawn."""
         frame, put = self.frame, self._sections.put
         if frame is None:  # the decor has not been drawn yet
             return
@@ -95,7 +95,7 @@ class PageState(FrameTaker):
             put("soft", found.soft.vertices.astype(np.float32))
         rows = np.concatenate([found.soft.tendons, decor.drawing.rows(data, toggles)])
         self._put_geoms(*found.geoms, rows)
-        # The remaining panels are notes about stale data; the last one is the name at the pointer.
+        # The remaining panels are notes about stale data, and last, the name at the pointer.
         notes = decor.panels[: len(decor.panels) - (hover is not None)]
         self._put_labels(frame.view, found.labels, [*self.beside, *notes])
 
@@ -137,7 +137,7 @@ class PageState(FrameTaker):
         )
 
     def _in_world(self, view: ImageView, pixel: Array) -> Array:
-        """Returns the point at a pixel, at the depth of the robots."""
+        """Returns the world position of a pixel at the depth of the robots."""
         return view.at(np.asarray(pixel, float), self._depth)
 
     def _sites(self, data: mujoco.MjData) -> bytes:
@@ -175,9 +175,9 @@ class PageState(FrameTaker):
 
 
 def card_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
-    """Returns the title of a billboard, and label and value of each line.
+    """Returns the title of a billboard, and the label and value of each line.
 
-    The first line starts with the title; columns are separated by two spaces or more.
+    The first line starts with the title. Two or more spaces separate columns.
     """
     title, lines = "", []
     for number, text in enumerate(texts):

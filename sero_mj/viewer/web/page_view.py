@@ -1,4 +1,4 @@
-"""`PageView`: the camera of a page, which the browser in control moves and the others follow."""
+"""`PageView`: the camera of a page. The browser in control moves it; other browsers follow."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class PageView:
         self._world = world
         self.navigator = navigator
         self.size = _SIZE
-        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # for its camera
+        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # only its camera is used
         self._last: tuple[object, ...] = ()  # camera that browsers have received
-        self._serial = 0  # counts camera moves of the server
+        self._serial = 0  # number of camera moves by the server
 
     def of_data(self, data: mujoco.MjData) -> ImageView:
         scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
@@ -40,7 +40,7 @@ class PageView:
         return ImageView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
-        """Sets the camera of the browser in control, which is not sent back to it.
+        """Sets the camera to that of the browser in control, which does not receive it again.
 
         Args:
             fixed: index of a scene camera; -1 for a free camera.
@@ -48,7 +48,7 @@ class PageView:
             numbers: distance in m, azimuth and elevation in degrees.
 
         Raises:
-            ValueError: there is no such camera.
+            ValueError: the camera does not exist, or a number is not finite.
         """
         every = np.array([*look_at, *numbers], float)
         is_valid = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
@@ -70,7 +70,7 @@ class PageView:
                 camera.elevation, *looks_at)  # fmt: skip
 
     def put(self, sections: Sections, holder: int | None) -> None:
-        """Puts the camera; `holder` ignores it unless the server has moved it."""
+        """Puts the camera, which the browser `holder` ignores unless the server has moved it."""
         camera, key, by = self.navigator.camera, self._key(), holder
         if key != self._last:
             self._last, by = key, None

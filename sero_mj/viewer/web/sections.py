@@ -1,7 +1,7 @@
-"""`Sections`: the state of a page in named parts; browsers receive the parts that have changed.
+"""`Sections`: the state of a page in named parts. Browsers receive only the changed parts.
 
-A slow browser may miss states, but no part: a message contains the newest value of each part that
-has changed since the last message. `js/src/sections.js` parses messages.
+A message contains the newest value of each part that has changed since the last message. A slow
+browser may therefore skip states, but misses no part. `js/src/sections.js` parses messages.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 
-_ALIGNED = 4  # bytes
-_CACHED = 4  # messages, for browsers with the same version
+_ALIGNED = 4  # alignment of binary parts, bytes
+_CACHED = 4  # number of cached messages, for browsers with the same version
 
 
 class Sections:
-    """The parts of a page's state; one thread puts them, and another one takes messages."""
+    """The parts of a page's state. One thread puts parts, and another thread takes messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,7 +43,7 @@ class Sections:
                 self._found[name] = self._version, content
 
     def since(self, seen: int) -> tuple[bytes | None, int]:
-        """Returns a message with all changes since a version, or None; and the new version."""
+        """Returns a message with all changes since a version, or None, and the new version."""
         with self._lock:
             now = self._version
             if seen == now:

@@ -1,6 +1,6 @@
 """`PageServer`: serves the files, images, uploads and websocket of a page, behind a guard.
 
-It runs on its own thread; messages of browsers are queued until the page takes them.
+The server runs on a separate thread. Messages of browsers are queued until the page takes them.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ log = logging.getLogger(__name__)
 LOOPBACK = "127.0.0.1"
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 _FIRST_PORT, _MAX_PORTS = 8080, 100
-_BACKLOG = 128  # connections
+_BACKLOG = 128  # maximum number of waiting connections
 _MAX_PART = 2**20  # bytes of an uploaded file per message; `messages` limits other messages
 _REQUEST_TIMEOUT = 10.0  # s
 _STATIC = Path(__file__).with_name("static")
@@ -43,9 +43,9 @@ _TYPES = {
     ".jpg": "image/jpeg",
     ".json": "application/json",
 }
-_SHARED = ("access.js", "uploads.js", "uploads.css")  # of all pages
-_WHICH = "/sero-mj/page"  # returns which page is served; needs the token
-# Other addresses of `localhost` in browsers, by the address of the server.
+_SHARED = ("access.js", "uploads.js", "uploads.css")  # files of all pages
+_WHICH = "/sero-mj/page"  # path that returns the name of the served page; needs the token
+# Second address that browsers may use for `localhost`, by the address of the server.
 _TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 
 Talk = Callable[[ServerConnection], Awaitable[None]]
@@ -56,7 +56,7 @@ class PageAnswer(NamedTuple):
 
     Attributes:
         ending: file extension, which determines the type, such as `.html`.
-        is_cached: whether browsers may cache it and validate it by its ETag.
+        is_cached: whether browsers may cache the body and validate it by the ETag.
     """
 
     body: bytes
@@ -68,15 +68,15 @@ class PageServer:
     """Serves a page until it is closed.
 
     Args:
-        page: HTML without secrets.
-        files: files of the page by name, without secrets.
+        page: HTML of the page, without secrets.
+        files: mapping from names to contents of the page's files, without secrets.
         talk: called with every connection to the websocket at `socket_path`.
-        may_upload: see `take_files`.
+        may_upload: function that returns why an upload is refused, or None, see `take_files`.
         on_file: called with each file that was dropped on the page.
-        find: returns the response for another path and its query, or None.
-        port: port to listen on; 0 for the first free port from 8080; or a listener, which outlives
+        find: function that returns the response for another path and query, or None.
+        port: port to listen on, 0 for the first free port from 8080, or a listener, which outlives
             the page.
-        token: token of the page, or whether it has one.
+        token: token of the page; True to create a token, False for none.
 
     Raises:
         RenderError: the page cannot be served there.
@@ -141,7 +141,7 @@ class PageServer:
 
     @property
     def urls(self) -> list[str]:
-        """All addresses of the page, including that for other machines if they can reach it."""
+        """All addresses of the page, including one for other machines if they can reach it."""
         others = [page_url(socket.gethostname(), self.port, self.token)]
         return [self.url] + others * (self._host in ANY_ADDRESS)
 
@@ -150,7 +150,7 @@ class PageServer:
         return self._thread.is_alive()
 
     def call(self, act: Callable[[], object]) -> None:
-        """Runs a function on the server's thread soon."""
+        """Schedules a function on the server's thread."""
         if self.loop is not None:
             with contextlib.suppress(RuntimeError):  # the loop has just ended
                 self.loop.call_soon_threadsafe(act)
@@ -162,7 +162,7 @@ class PageServer:
         for each in self._sockets:
             each.close()
 
-    # ---- on the server's thread
+    # ---- methods for the server's thread
 
     async def _serve(self) -> None:
         self._stop, self.loop = asyncio.Event(), asyncio.get_running_loop()
@@ -241,13 +241,13 @@ def static_text(name: str) -> str:
 
 
 class PageListener:
-    """Sockets that listen at an address while pages are served there one after the other.
+    """Sockets that keep listening at an address while pages are served one after the other.
 
     Between two pages, no other process can take the port and receive the token that browsers send
     there. Connections wait until the next page is served.
 
     Raises:
-        RenderError: there is no such address or port, or it is in use.
+        RenderError: the address or port does not exist or is in use.
     """
 
     def __init__(self, host: str = LOOPBACK, port: int = 0) -> None:
@@ -264,7 +264,7 @@ class PageListener:
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
-    """Returns sockets at an address and, for `localhost`, at its other IP version.
+    """Returns listening sockets at an address and, for `localhost`, also at the other IP version.
 
     Raises:
         RenderError: no port is free, or the address cannot be used.
@@ -315,7 +315,7 @@ def _twin(address: str, port: int) -> list[socket.socket]:
 
 
 def check_address(host: str) -> str:
-    """Returns the IP address of a host name of this machine; raises RenderError if it has none."""
+    """Returns the IP address of a host name; raises RenderError if it is not of this machine."""
     try:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as trial:

@@ -38,11 +38,11 @@ _POLL_INTERVAL = 0.05  # s between checks for messages
 class StartHost:
     """Serves the start page until something is opened.
 
-    Any number of browsers can connect; the one that has control can open something.
+    Any number of browsers can connect. Only the browser in control can open a view or file.
 
     Args:
-        opener: opens the chosen view or file.
-        listening: monitors the ports of sources.
+        opener: function that opens the chosen view or file.
+        listening: monitor of the ports of sources.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
         token: see `PageServer`.
@@ -65,7 +65,7 @@ class StartHost:
         self._sections = Sections()
         self.browsers = Browsers(self._sections, ForStartPage)
         self.sender = MessageSender(0, is_local=False)
-        # A handler for each kind of `ForStartPage` that `Browsers` does not handle.
+        # A handler for each kind of `ForStartPage`, except the kinds that `Browsers` handles.
         self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             OpenTile: self._open_tile,
             OpenShown: self._open_shown,

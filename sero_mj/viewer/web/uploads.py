@@ -1,8 +1,8 @@
-"""Files that are dropped on a page: receiving and storing them.
+"""Receives and stores files that are dropped on a page.
 
-Browsers send contents without paths. Robots with separate mesh files must be dropped as a folder,
-or together with the meshes. A drop is deleted when this process ends, when its file cannot be
-opened, or when it is no longer shown and another drop needs the space.
+Browsers send the contents of files without paths. A robot with separate mesh files must be dropped
+as a folder, or together with the meshes. A drop is deleted when this process ends, when the dropped
+file cannot be opened, or when it is no longer shown and another drop needs the space.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ from ...base.paths import (
 )
 
 FILES = "/sero-mj/files"  # path of the upload websocket
-MAX_BYTES, MAX_FILES = 500_000_000, 2000  # of all drops of this process
+MAX_BYTES, MAX_FILES = 500_000_000, 2000  # limits of all drops of this process together
 _MAX_PATH, _MAX_DEPTH = 400, 20
 NOT_IN_CONTROL = "another browser has control of this page; take control, then drop the files again"
 _TIMEOUT = 60.0  # s for the next part of a file
 
-# Returns why an upload with the key of a connection is refused, or None.
+# Function that returns why an upload with the key of a connection is refused, or None.
 MayUpload = Callable[[str], str | None]
 
 
@@ -49,7 +49,7 @@ class _Size(NamedTuple):
 
 
 class Drops:
-    """All files that were dropped on pages of this process, with a common limit."""
+    """All files that were dropped on pages of this process, with a common size limit."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -86,13 +86,13 @@ class Drops:
             return folder
 
     def discard(self, path: Path | str) -> None:
-        """Deletes the drop of a file, unless it is shown."""
+        """Deletes the drop that contains a file, unless the drop is shown."""
         with self._lock:
             for folder in self._folders([path]) - self._shown:
                 self._remove(folder)
 
     def show(self, *paths: Path | str) -> None:
-        """Sets which files are shown; all other drops may be deleted."""
+        """Sets the files that are shown. All other drops may be deleted."""
         with self._lock:
             self._shown = self._folders(paths)
             self._arriving.clear()
@@ -200,7 +200,7 @@ class Listed(NamedTuple):
 
     Attributes:
         key: key of the connection in control.
-        sizes: size of each file, bytes, by its path in the folder of the drop.
+        sizes: mapping from the path of each file in the drop to the file size in bytes.
     """
 
     key: str
@@ -208,7 +208,7 @@ class Listed(NamedTuple):
 
 
 def read_list(message: str | bytes) -> Listed:
-    """Returns the list of files of a message, or raises UsageError."""
+    """Parses a message with the list of files of a drop; raises UsageError if it is invalid."""
     try:
         listed = _Listed.model_validate_json(message)
     except (ValidationError, UnicodeEncodeError):
@@ -236,13 +236,13 @@ def _checked(text: str) -> PurePosixPath:
 
 
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
-    """Returns which of several files to open: the one nearest to the top folder.
+    """Returns the file of a drop to open: the file nearest to the top folder.
 
-    If there are several, it is the one that is named as a robot's file or as its folder, or the
-    only TOML file.
+    If there are several of these, returns the file with the name of a robot file or of its folder,
+    or the only TOML file.
 
     Raises:
-        UsageError: there is no such file, or more than one.
+        UsageError: no file can be opened, or the choice is ambiguous.
     """
     endings = (".toml", *robot_endings(), *scene_endings(), ".mcap")
     found = [path for path in paths if path.suffix.lower() in endings]

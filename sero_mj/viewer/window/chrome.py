@@ -23,7 +23,7 @@ _HINT = "H help"
 _MESSAGE_TOP, _ONGOING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
 _BESIDE_HANDLE = 2.0  # width of the panel button, in lines
 _PANEL = 21.5  # width of the panel, in text heights
-_MAX_PANEL = 0.97  # height of the panel, of the window
+_MAX_PANEL = 0.97  # maximum height of the panel, as a fraction of the window height
 _FLAGS = imgui.WindowFlags_
 _STILL = _FLAGS.no_move | _FLAGS.no_resize | _FLAGS.no_collapse | _FLAGS.no_saved_settings
 _PANEL_FLAGS = _STILL | _FLAGS.no_nav
@@ -35,7 +35,7 @@ _HANDLE_FLAGS = _BAR_FLAGS | _FLAGS.no_background | _FLAGS.always_auto_resize
 
 
 class Chrome(ImguiLayer):
-    """The user interface of a window around and over its image.
+    """The user interface around and over the image of a window.
 
     Attributes:
         covered: width of the panel at the left edge of the image, pixels.
@@ -189,8 +189,8 @@ _STATUS, _TIME = 1.6, 1.3
 _AREA_SHARE = 0.34  # fraction of the width for the area beside the image
 _STRIP_SHARE = 0.36  # fraction of the height for the area below the image, in a narrow window
 _NARROW = 46.0  # in a narrower window, the area is below the image
-_MIN_STRIP = 10.0  # height
-_MIN_AREA = 20.0  # width
+_MIN_STRIP = 10.0  # minimum height of the area below the image
+_MIN_AREA = 20.0  # minimum width of the area beside the image
 
 
 class Rect(NamedTuple):
@@ -203,7 +203,7 @@ class Rect(NamedTuple):
 
 
 class Places(NamedTuple):
-    """The parts of a window; None for a hidden one."""
+    """The parts of a window, None for each hidden part."""
 
     image: Rect
     area: Rect | None
@@ -214,7 +214,7 @@ class Places(NamedTuple):
 def arrange(
     size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
 ) -> Places:
-    """Returns the parts of a window, which do not overlap.
+    """Returns the rectangles of the parts of a window, which do not overlap.
 
     Args:
         size: size of the window, pixels.

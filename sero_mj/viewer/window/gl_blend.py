@@ -14,14 +14,20 @@ from ..image.typesetting import PlacedPanel
 # Constants of gl.h.
 _ALL_ATTRIBUTES = 0x000FFFFF
 _BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
-_OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)  # depth, 2D texture, fog, alpha and scissor tests
+_OFF = (
+    0x0B71,
+    0x0DE1,
+    0x0B60,
+    0x0BC0,
+    0x0C11,
+)  # depth test, 2D texture, fog, alpha test and scissor test
 _RGB, _RGBA, _UNSIGNED_BYTE = 0x1907, 0x1908, 0x1401
 _UNPACK_ALIGNMENT = 0x0CF5
 _TEXTURE, _MIN_FILTER, _MAG_FILTER, _LINEAR = 0x0DE1, 0x2801, 0x2800, 0x2601
 
 
 class Blender:
-    """Draws panels over the image of a window, or replaces its red channel.
+    """Draws panels over the image of a window, or replaces the red channel of the image.
 
     GLFW provides the OpenGL functions on every platform.
     """
@@ -70,7 +76,7 @@ class Blender:
 
 
 def make_texture(pixels: Pixels) -> int:
-    """Returns the name of a new texture of pixels (height, width, 3), uint8."""
+    """Returns the OpenGL name of a new texture with pixels of shape (height, width, 3), uint8."""
     integer, unsigned = ctypes.c_int, ctypes.c_uint
     name = unsigned()
     _function("glGenTextures", integer, ctypes.c_void_p)(1, ctypes.addressof(name))

@@ -48,12 +48,12 @@ class GlWindow:
     """A window with an OpenGL context for a world.
 
     Args:
-        size: size of the window in screen coordinates, limited by that of the screen.
+        size: size of the window in screen coordinates, limited to the size of the screen.
 
     Attributes:
         context: context that renders the scene.
-        typesetter: typesetter of the window's own text, whose size depends on the screen.
-        on_key: called with key, action and modifiers of GLFW, before other handlers.
+        typesetter: typesetter of text in the window, whose size depends on the screen.
+        on_key: called with GLFW's key, action and modifiers, before other handlers.
         on_character: called with each typed character.
 
     Raises:
@@ -134,9 +134,9 @@ class GlWindow:
         return spread_times(events, last, self._polled)
 
     def typesetter_of(self, width: int, height: int) -> Typesetter:
-        """Returns the typesetter of panels in an image of that size, pixels.
+        """Returns the typesetter of panels in an image of a size in pixels.
 
-        Its text is at least as large as the window's own.
+        The text is at least as large as that of the window.
         """
         line = max(line_height(self._world, width, height), self.typesetter.font.height)
         if line != self._of_image.font.height:
@@ -170,7 +170,8 @@ class GlWindow:
     def read(self, rect: mujoco.MjrRect) -> Pixels:
         """Returns the rendered pixels of a rectangle, (height, width, 3), uint8, top row first.
 
-        The window's buffer is multisampled; blitting it resolves the samples, reading it does not.
+        The window's buffer is multisampled. Blitting the buffer resolves the samples; reading the
+        buffer does not.
         """
         here = self._offscreen(rect)
         mujoco.mjr_blitBuffer(rect, here, 1, 0, self.context)
@@ -260,7 +261,7 @@ class GlWindow:
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
             self.request_close()
         elif mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
-            # By the letter on the key, which depends on the keyboard layout.
+            # Identified by the letter on the key, which depends on the keyboard layout.
             letter = (glfw.get_key_name(key, code) or "").lower()
             if letter == "z" and mods & glfw.MOD_SHIFT:
                 letter = "y"
@@ -280,7 +281,7 @@ class GlWindow:
 
 
 def spread_times(events: Sequence[Event], begin: float, end: float) -> list[Event]:
-    """Returns events with times at equal intervals after `begin` up to `end`, s."""
+    """Returns the events with times that are equally spaced after `begin` up to `end`, s."""
     step = (end - begin) / max(len(events), 1)
     return [replace(each, time=begin + step * (i + 1)) for i, each in enumerate(events)]
 
@@ -305,7 +306,7 @@ def _start_glfw() -> None:
     with _glfw_errors() as errors:
         if glfw.init():
             return
-    reason = errors[-1] if errors else "GLFW does not initialize"
+    reason = errors[-1] if errors else "GLFW cannot be initialized"
     raise RenderError(f"cannot open a window: {reason}; is there a display?")
 
 

@@ -33,7 +33,7 @@ class Pace:
     """Reduces the quality of frames while the user acts, if rendering is slow.
 
     Attributes:
-        slow: a full-quality frame that takes longer is slow, s.
+        slow: duration above which a full-quality frame is slow, s.
     """
 
     def __init__(self) -> None:
@@ -58,7 +58,7 @@ class Pace:
 class Window(LiveHost):
     """Shows a mirror in a window.
 
-    Every frame shows the latest packet; it never waits for one.
+    Every frame shows the latest packets and never waits for a packet.
 
     Attributes:
         is_quick: whether the last frame was rendered without multisampling and shadows.
@@ -111,7 +111,7 @@ class Window(LiveHost):
     def is_due(self) -> bool:
         """Whether the screen is ready for the next frame.
 
-        If rendering is slow, half of the time is left to the caller.
+        If rendering is slow, half of the time is left for the caller.
         """
         took = self._end - self._last
         if not self.is_open:
@@ -182,7 +182,7 @@ class Window(LiveHost):
         return self.gl.read(rect)
 
     def _pixel(self, at: Pixel | None) -> Pixel | None:
-        """Returns a pixel of the window as one of the image, of either eye; None outside it."""
+        """Converts a pixel of the window to a pixel of either eye's image; None outside."""
         if at is None:
             return None
         rect = self.decor.rect

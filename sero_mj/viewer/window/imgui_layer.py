@@ -1,4 +1,4 @@
-"""`ImguiLayer`: Dear ImGui in a window, with its share of mouse and keyboard."""
+"""`ImguiLayer`: Dear ImGui in a window, and the mouse and keyboard events for it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class ImguiLayer:
         # Left, top, width and height of the ImGui windows that take the mouse.
         self._rects: list[tuple[float, float, float, float]] = []
         self._at = (-1.0, -1.0)  # position of the pointer, pixels from the upper left corner
-        self._is_held = False  # whether the button was pressed over an ImGui window
+        self._is_held = False  # whether the mouse button was pressed over an ImGui window
         self._released: list[int] = []  # buttons, passed to ImGui one frame later
         self._has_popup = False  # for example a drop-down list
         self._last = time.monotonic()
@@ -72,7 +72,7 @@ class ImguiLayer:
         return bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
-        """Handles an event; returns whether it belongs to the user interface only."""
+        """Handles an event; returns whether only the user interface uses the event."""
         if event.kind == "key":
             return self.takes_keys
         io = imgui.get_io()
@@ -117,7 +117,8 @@ class ImguiLayer:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
-            build: builds ImGui windows and calls `take_mouse` in those that take the mouse.
+            build: function that builds ImGui windows, and calls `take_mouse` in each window that
+                takes the mouse.
         """
         now = time.monotonic()
         io = imgui.get_io()

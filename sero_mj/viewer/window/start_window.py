@@ -28,7 +28,7 @@ _FLAGS = (
 # Lengths in units of the text's height.
 _TILE, _WIDEST = 13.5, 22.0  # widths of tiles
 _GAP, _SIDE, _MARGIN = 1.0, 23.0, 1.6
-_HEAD = 4.4  # height above the tiles if the message has one line
+_HEAD = 4.4  # height above the tiles, with a message of one line
 _ASPECT = 0.625  # height of an image over its width
 _LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of the texts below images
 _NARROW = 52.0  # in a narrower window, the side column is below the tiles
@@ -124,7 +124,7 @@ class StartWindow:
         if notice.is_shown:
             ui.same_line()
             ui.text(notice.text, "bad" if notice.is_bad else "good")
-        # The line of the message is reserved, so that nothing moves.
+        # Reserves the line of the message, so that a message moves nothing.
         bottom = _HEAD * self._layer.text_height
         imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), bottom))
 

@@ -69,7 +69,7 @@ def set_style(height: float) -> None:
     style.frame_rounding = style.grab_rounding = style.scrollbar_rounding = 0.25 * height
     style.window_border_size = 0.0
     style.window_min_size = ImVec2(1.0, 1.0)
-    # Whole pixels, or windows that fit their contents would be slightly too low.
+    # Without whole pixels, windows that fit their contents would be slightly too low.
     style.window_padding = ImVec2(round(0.7 * height), round(0.6 * height))
     style.frame_padding = ImVec2(round(0.4 * height), round(0.2 * height))
     style.item_spacing = ImVec2(round(0.45 * height), round(0.3 * height))

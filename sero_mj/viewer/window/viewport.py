@@ -1,4 +1,4 @@
-"""`Viewport`: draws a world in a rectangle of a window, for one eye or two."""
+"""`Viewport`: draws a world in a rectangle of a window, in mono or stereo."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ..image.typesetting import Typesetter
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 
-_MORE = 2000  # capacity for geoms that MuJoCo adds to those of the model
+_MORE = 2000  # capacity for geoms that MuJoCo draws in addition to the geoms of the model
 
 
 class Pane(NamedTuple):
     """The part of a window that shows the image.
 
     Attributes:
-        covered: width of the panel at its left edge, pixels; text is placed beside it.
+        covered: width of the panel at the left edge, pixels. Text is placed beside the panel.
     """
 
     rect: mujoco.MjrRect
@@ -91,7 +91,7 @@ class StereoViewport(Viewport):
         eye_distance: distance between the eyes, m.
 
     Raises:
-        RenderError: there is no such stereo mode, or the distance is out of range.
+        RenderError: the stereo mode is unknown, or the distance is out of range.
     """
 
     def __init__(

@@ -288,8 +288,8 @@ def files(tmp_path: Path) -> Path:
         ("--over gone.png --camera-file c.toml", "gone.png: no such file"),
         ("--over p.png --camera-file gone.toml", "gone.toml: no such file"),
         ("--over narrow.png --camera-file c.toml",
-         "c.toml: image_width: found 64x40, but the image is 60x40: expected a camera file for "
-         "images of that size (cropped or resized images have other intrinsics)"),
+         "c.toml: image_width: found 64x40, but the image is 60x40; expected a camera file for "
+         "images of this size (cropped or resized images have other intrinsics)"),
         ("-o o.mp4 --over p.png --camera-file c.toml",
          "-o o.mp4: expected an image file such as .png, because --over is a photo"),
         ("-o o.mp4 --over v.mp4 --camera-file c.toml --offset 3",

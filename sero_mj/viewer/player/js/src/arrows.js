@@ -1,4 +1,4 @@
-/** Arrows of joints: round ones, which a shader places about axes, and straight ones along them. */
+/** Arrows of joints: round arrows, which a shader bends about axes, and straight arrows along axes. */
 
 import * as THREE from "three";
 import { ARROW } from "./geoms.js";
@@ -6,7 +6,7 @@ import { ARROW } from "./geoms.js";
 /** @typedef {import("./data.js").Run} Run */
 
 /**
- * The width of an arrow, m; 0 where it is too small to be seen. As `arrow_widths` in Python.
+ * Returns the width of an arrow, m; 0 if it is too small to be visible. See `arrow_widths` in Python.
  * @param {import("./data.js").Arrow} arrow @param {number} value @param {number} invisible
  */
 export function widthOf(arrow, value, invisible) {
@@ -21,7 +21,7 @@ export function widthOf(arrow, value, invisible) {
   return width > invisible * arrow.radius ? width : 0;
 }
 
-/** The ribbon's boxes and heads, as places along the arc. @param {any} shape */
+/** The boxes and heads of the ribbon, as positions along the arc. @param {any} shape */
 function ribbon(shape) {
   /** @type {number[]} */
   const along = [];
@@ -59,7 +59,7 @@ function ribbon(shape) {
   return geometry;
 }
 
-/** Where a vertex is in its joint's frame; a test holds it against the geoms that Python draws. */
+/** Position of a vertex in the joint's frame; a test compares it with the geoms that Python draws. */
 const PLACE = `
   float r = how.x, w = how.y, turn = how.w, grown = min(w / (.14 * r), 1.);
   float wide = w * along.z + (.5 * w + .28 * r * grown) * along.w;
@@ -71,10 +71,10 @@ const PLACE = `
 
 const STRAIGHT = 100; // mjGEOM_ARROW, drawn half as long as its size
 const centre = new THREE.Vector3(), along = new THREE.Vector3(), turn = new THREE.Quaternion();
-const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // half a turn about x
+const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // rotation by 180 degrees about x
 
 /**
- * Adds the arrows of joints that slide, as `RoundArrows` of Python draws them.
+ * Adds the arrows of prismatic joints, as drawn by `RoundArrows` in Python.
  * @param {Run} run @param {number} at frame, with a fraction
  * @param {THREE.Matrix4[]} sites of all joints
  * @param {(joint: number) => boolean} isOn @param {import("./geoms.js").Geoms} to
@@ -101,7 +101,7 @@ export function addStraight(run, at, sites, isOn, to) {
   });
 }
 
-/** The round arrows of all joints, one mesh. */
+/** The round arrows of all joints, as one mesh. */
 export class RoundArrows {
   /** @param {Run} run */
   constructor(run) {
@@ -128,7 +128,7 @@ export class RoundArrows {
   }
 
   /**
-   * Places them.
+   * Updates the arrows.
    * @param {number} at frame, with a fraction @param {THREE.Matrix4[]} sites of all joints
    * @param {(joint: number) => boolean} isOn
    */

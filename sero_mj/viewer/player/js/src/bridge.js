@@ -1,16 +1,16 @@
 /**
- * Joins the pages in a notebook's cells with its kernel: an anywidget without a view of its own.
+ * Connects the pages in the cells of a notebook with the kernel: an anywidget without a view.
  *
- * Pages are frames beside it; several browsers, and several cells, may show the same.
+ * Pages are iframes in the same notebook. Several browsers, and several cells, may show one page.
  */
 
 /** @typedef {{get: (name: string) => any, send: (content: object, callbacks?: object, buffers?: ArrayBuffer[]) => void,
  *   on: (event: string, act: (content: any, buffers: DataView[]) => void) => void}} Model */
 
 const FIRST = "first"; // the connection that the kernel opens when it shows the cell
-const MOST_EARLY = 2000; // messages that wait for its page
+const MOST_EARLY = 2000; // messages that wait for the first page
 
-/** The page's messages to the kernel, and back. @param {{model: Model}} widget */
+/** Forwards messages between pages and the kernel. @param {{model: Model}} widget */
 function initialize({ model }) {
   const cell = model.get("cell");
   /** @type {Map<string, MessageEventSource>} */

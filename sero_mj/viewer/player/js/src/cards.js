@@ -1,4 +1,4 @@
-/** Billboards: text beside the robots, with leaders to its items, laid out in every frame. */
+/** Billboards: text beside the robots, with leaders to the items, laid out in every frame. */
 
 import * as THREE from "three";
 import { stacked } from "./layout.js";
@@ -68,7 +68,7 @@ export class Cards {
     const look = `card ${content.lines.length > 1 ? "many" : ""} ${content.isStale ? "stale" : content.sign}`
       + (content.isChosen ? " chosen" : "");
     if (box.className !== look) box.className = look;
-    // If its shape has changed, it is measured again, even if it has become smaller.
+    // A billboard with other lines or another title is measured again, even if it has become smaller.
     const isOther = lines.length !== content.lines.length || title.hidden === Boolean(content.title);
     if (isOther) card.longest = card.width = 0;
     while (lines.length > content.lines.length) lines.pop()?.[0].remove();
@@ -94,7 +94,7 @@ export class Cards {
    * Places billboards in columns beside the robots.
    * @param {Stage} stage @param {Content[]} contents @param {number} top free pixels
    * @param {(left: number, right: number) => number} endOf
-   *   returns the lower end of a column between these, pixels
+   *   returns the lower end of a column between two x coordinates, pixels
    */
   layOut(stage, contents, top, endOf) {
     this.#write(contents);
@@ -176,7 +176,7 @@ function show({ box, path, dot }, isShown) {
   for (const each of [box, path, dot]) each.style.display = isShown ? "" : "none";
 }
 
-/** The billboards with the highest load that fit; others are hidden. @param {Card[]} shown @param {number} most */
+/** Returns the billboards with the highest load that fit, and hides all others. @param {Card[]} shown @param {number} most */
 function mostLoaded(shown, most) {
   if (shown.length <= most) return shown;
   const sorted = [...shown].sort((a, b) => b.content.load - a.content.load);

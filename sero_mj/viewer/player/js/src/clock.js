@@ -1,8 +1,8 @@
-/** The time that is shown: it plays, loops, and goes frame by frame. */
+/** The displayed time, which plays, loops, or is stepped frame by frame. */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5];
 
-/** Frames, with a fraction while it plays. */
+/** The displayed frame, with a fraction while playing. */
 export class Clock {
   /** @param {number} frames @param {number} fps */
   constructor(frames, fps) {
@@ -14,7 +14,7 @@ export class Clock {
     this.isLooping = true;
   }
 
-  /** The frame that is nearest. */
+  /** The nearest frame. */
   get frame() { return Math.round(this.at); }
 
   /** The time since the start, s. */
@@ -25,7 +25,7 @@ export class Clock {
   /** @param {number} frame */
   seek(frame) { this.at = Math.min(Math.max(frame, 0), this.frames - 1); }
 
-  /** Goes by whole frames, and pauses. @param {number} count */
+  /** Steps by whole frames, and pauses. @param {number} count */
   step(count) {
     this.isPlaying = false;
     this.seek(this.frame + count);
@@ -37,7 +37,7 @@ export class Clock {
     this.speed = SPEEDS[Math.min(Math.max(at, 0), SPEEDS.length - 1)];
   }
 
-  /** Plays or pauses; from the start where it is at the end. */
+  /** Plays or pauses; at the end, plays from the start. */
   toggle() {
     if (!this.isPlaying && this.at >= this.frames - 1) this.at = 0;
     this.isPlaying = !this.isPlaying && this.frames > 1;

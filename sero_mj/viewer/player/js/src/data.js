@@ -1,6 +1,6 @@
-/** The bytes of a run, as `encode.py` writes them. */
+/** Decodes the bytes of a run, which `encode.py` writes. */
 
-/** @typedef {[number, string, number]} Part number of the array, type of its numbers, how many */
+/** @typedef {[number, string, number]} Part number of the array, type and count of its elements */
 /** @typedef {{title: string, label: string, key: string, scale: number, decimals: number,
  *   unit: string}} Line */
 /** @typedef {{on: boolean, round: boolean, radius: number, opacity: number, scale: number,
@@ -12,22 +12,22 @@
  *   rgba: number[], mesh?: number, material?: number, isBack?: boolean}} Geom */
 /** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean,
  *   roughness?: number, metallic?: number}} Material
- *   finish: emission, specular, shininess, reflectance; roughness in place of the last but one */
+ *   finish: emission, specular, shininess, reflectance; if set, roughness replaces shininess */
 /** @typedef {{cube: boolean, width: number, height: number, pixels: Uint8Array}} Texture
- *   pixels: RGBA, of a cube six faces one after the other */
+ *   pixels: RGBA; a cube has six faces one after the other */
 /** @typedef {{rgba: number[], material?: number, uv?: Float32Array}} Soft */
 /** @typedef {Soft & {positions: Float32Array, triangles: Uint32Array, inflate: number,
  *   bones: {body: number, pos: number[], quat: number[], count: number}[],
  *   moved: Uint32Array, weights: Uint16Array}} Skin
- *   moved: vertices of the first bone, of the second one and so on, with their weights / 65535 */
+ *   moved: vertices of the first bone, of the second one and so on, with weights in units of 1 / 65535 */
 /** @typedef {Soft & {dim: number, radius: number, first: number, count: number, flat: boolean,
  *   triangles: Uint32Array, edges: Uint32Array}} Flex */
 /** @typedef {{body: number, type: number, pos: number[], dir: number[], diffuse: number[],
  *   ambient: number[], cutoff: number, exponent: number, shadow: boolean}} Lamp */
 /** @typedef {{ambient: number[], diffuse: number[], gloss: number, others: Lamp[]}} Lights of the
- *   model, with its headlight; gloss: how much brighter reflections of lamps are than surfaces */
+ *   model, with its headlight; gloss: brightness of reflections of lamps relative to surfaces */
 /** @typedef {{sky: number[][], tiles: number[][], haze: number[], key: number, bulb: number,
- *   fill: number[], reflections: number[][]}} Palette colours as they are shown, light relative to white */
+ *   fill: number[], reflections: number[][]}} Palette displayed colors, and light relative to white */
 /** @typedef {{looks: {light: Palette, dark: Palette}, towards: number[], floor: {height: number,
  *   tile: number, far: number, haze: number} | null}} Surroundings */
 /** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
@@ -44,11 +44,11 @@ const KINDS = {
 };
 const VERSION = 1;
 
-/** A small number of either sign from its folded one. @param {number} folded */
+/** Decodes a signed integer with the sign in the lowest bit. @param {number} folded */
 export const unfold = (folded) => (folded >>> 1) ^ -(folded & 1);
 
 /**
- * Inflates base64 of a raw deflate stream.
+ * Decompresses the base64 text of a raw deflate stream.
  * @param {string} text
  * @returns {Promise<ArrayBuffer>}
  */
@@ -58,7 +58,7 @@ export async function inflate(text) {
   return new Response(stream).arrayBuffer();
 }
 
-/** Reads the arrays behind a head. */
+/** Reads the arrays behind the head. */
 class Arrays {
   /** @param {ArrayBuffer} bytes @param {number[]} lengths @param {number} begin */
   constructor(bytes, lengths, begin) {
@@ -71,7 +71,7 @@ class Arrays {
     }
   }
 
-  /** An array whose bytes of one significance stand together. @param {Part} part */
+  /** Reads an array in which bytes of the same significance are grouped. @param {Part} part */
   get([part, kind, count]) {
     const Kind = KINDS[kind];
     const size = Kind.BYTES_PER_ELEMENT;
@@ -84,7 +84,7 @@ class Arrays {
   }
 
   /**
-   * Channels (C, F) from their differences in time.
+   * Reads channels (C, F), which are stored as differences in time.
    * @param {Part} part @param {number} frames @param {number} step
    */
   moving(part, frames, step) {
@@ -96,7 +96,7 @@ class Arrays {
     return numbers;
   }
 
-  /** Whole numbers from folded differences of neighbours. @param {Part} part */
+  /** Reads integers, which are stored as folded differences of neighbors. @param {Part} part */
   differing(part) {
     const folded = this.get(part), numbers = new Uint32Array(folded.length);
     for (let i = 0, at = 0; i < folded.length; i++) numbers[i] = at += unfold(folded[i]);
@@ -104,7 +104,7 @@ class Arrays {
   }
 
   /**
-   * Places as steps from the lowest, (n, dimensions).
+   * Reads positions (n, dimensions), which are stored as steps from the lower bounds.
    * @param {Part} part @param {number[]} low @param {number} step
    */
   places(part, low, step) {
@@ -163,7 +163,7 @@ class Arrays {
   }
 }
 
-/** The unit vector of a place on the unfolded octahedron. @param {number} u @param {number} v */
+/** Decodes a unit vector from octahedral encoding. @param {number} u @param {number} v */
 export function normalOf(u, v) {
   let x = u / 127, y = v / 127;
   const z = 1 - Math.abs(x) - Math.abs(y);
@@ -175,7 +175,7 @@ export function normalOf(u, v) {
 }
 
 /**
- * Reads a run.
+ * Decodes a run.
  * @param {ArrayBuffer} bytes
  */
 export function decode(bytes) {
@@ -208,7 +208,7 @@ export function decode(bytes) {
     begin: /** @type {number} */ (head.begin),
     frames,
     eye: /** @type {Eye} */ (head.eye),
-    /** By how far the free camera has moved with what it follows, m. */
+    /** Displacement of the free camera with the frame that it follows, m. */
     follow: head.follow ? moving(head.follow, metre) : null,
     cameras: /** @type {Camera[]} */ (head.cameras),
     bodies: /** @type {{name: string, joint: number, double: number, moves: boolean}[]} */ (head.bodies),
@@ -239,7 +239,7 @@ export function decode(bytes) {
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
-      /** What they can show by turns, first what they do. */
+      /** Quantities that the arrows can show, the current one first. */
       quantities: /** @type {{key: string, name: string, line: string}[]} */ (head.arrows.quantities ?? []),
     },
     items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
@@ -248,13 +248,13 @@ export function decode(bytes) {
       positions: moving(head.labels.positions, metre),
     } : null,
     notes: read(head.notes),
-    /** What visible arrows mean; null for the line of `arrows.quantities`. */
+    /** Lines of the legend by frame; null for the line about the quantity of the arrows. */
     legend: /** @type {{texts: (string | null)[][], at: Float32Array}} */ (/** @type {unknown} */ (read(head.legend))),
     cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
       head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
     vectors: /** @type {string[]} */ (head.vectors),
     marks: /** @type {Mark[]} */ (head.marks),
-    /** Of labels on cards: which file is A, say. */
+    /** Meanings of labels on billboards, such as the file that A stands for. */
     meanings: /** @type {Record<string, string>} */ (head.meanings ?? {}),
     switches: /** @type {Record<string, boolean>} */ (head.switches),
     silent: /** @type {string[]} */ (head.silent),
@@ -264,7 +264,7 @@ export function decode(bytes) {
 /** @typedef {ReturnType<typeof decode>} Run */
 
 /**
- * Reads channels of moving numbers between two frames.
+ * Returns a function that interpolates channels between two frames.
  * @param {number} at frame, with a fraction @param {number} frames
  * @returns {(of: Float32Array, channel: number) => number}
  */
@@ -274,7 +274,7 @@ export function mixer(at, frames) {
 }
 
 /**
- * The value of a line of a card, as it is received; of limits and shares as well.
+ * Returns the raw value for a line of a billboard: a received value, a limit, or a fraction of it.
  * @param {Run} run @param {number} joint @param {string} key @param {number} frame
  */
 export function valueOf(run, joint, key, frame) {
@@ -287,7 +287,7 @@ export function valueOf(run, joint, key, frame) {
 }
 
 /**
- * A number with so many digits behind the point; 0 has no sign.
+ * Formats a number with a number of decimals; 0 has no sign.
  * @param {number} value @param {number} digits
  */
 export function fixed(value, digits) {
@@ -295,7 +295,7 @@ export function fixed(value, digits) {
   return /^-[0.]+$/.test(text) ? text.slice(1) : text;
 }
 
-/** The number of a line, as Python writes it. @param {Line} line @param {number} value */
+/** Formats the number of a line as Python does. @param {Line} line @param {number} value */
 export function textOf(line, value) {
   if (!Number.isFinite(value)) return line.key === "torque_limit" ? "none" : "no data";
   const scaled = value * line.scale;

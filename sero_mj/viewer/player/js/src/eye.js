@@ -1,25 +1,25 @@
-/** Free cameras: where they stand, and what MuJoCo calls them by. */
+/** Converts free cameras between positions and the parameters of MuJoCo. */
 
 /** @typedef {{lookAt: number[], distance: number, azimuth: number, elevation: number}} View
- *   m and degrees, as of an `MjvCamera` */
+ *   m and degrees, as in `MjvCamera` */
 
 const DEGREES = 180 / Math.PI;
 
 /**
- * Factor of the camera's distance in a narrow image; 1 in wide images.
+ * Returns the factor of the camera's distance in a narrow image, which is 1 in wide images.
  * @param {number} aspect width over height of images at which distances are unchanged
  * @param {number} width @param {number} height of the image, pixels
  */
 export const standingBack = (aspect, width, height) => Math.max(aspect * height / Math.max(width, 1), 1);
 
-/** Where a camera stands, m. @param {View} view @returns {number[]} */
+/** Returns the position of a camera, m. @param {View} view @returns {number[]} */
 export function placeOf({ lookAt: [x, y, z], distance, azimuth, elevation }) {
   const flat = distance * Math.cos(elevation / DEGREES), turn = azimuth / DEGREES;
   return [x - flat * Math.cos(turn), y - flat * Math.sin(turn), z - distance * Math.sin(elevation / DEGREES)];
 }
 
 /**
- * The view of a camera that stands somewhere and looks at a point.
+ * Returns the view of a camera at a position that looks at a point.
  * @param {number[]} place m @param {number[]} lookAt m @returns {View}
  */
 export function viewFrom(place, lookAt) {

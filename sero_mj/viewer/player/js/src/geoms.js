@@ -1,15 +1,15 @@
-/** Geoms of decor at one moment, in arrays that grow as needed. */
+/** Geoms of decor at one time, in arrays that grow as needed. */
 
 /** @typedef {import("./data.js").Run} Run */
 
 /** Kinds of items, `Kind` in Python: arrows and billboards of joints, and smart arrows. */
 export const ARROW = 1, BILLBOARD = 2, VECTOR = 5;
 
-/** As many geoms as `count` says. */
+/** A list of `count` geoms. */
 export class Geoms {
   capacity = 0;
   count = 0;
-  /** Kind, item and type of each. */
+  /** Kind, item and type of each geom. */
   of = new Int32Array();
   positions = new Float32Array();
   /** Quaternions, w first. */
@@ -18,7 +18,7 @@ export class Geoms {
   /** 0 to 255. */
   rgba = new Uint8Array();
 
-  /** Makes room for so many, whose numbers are then to be set. @param {number} count */
+  /** Sets the number of geoms. The caller then sets the values. @param {number} count */
   resize(count) {
     this.count = count;
     if (count <= this.capacity) return;
@@ -31,7 +31,7 @@ export class Geoms {
   }
 
   /**
-   * Adds one where there is room; its numbers are then to be set.
+   * Adds a geom if there is space. The caller then sets the values.
    * @param {number[]} of kind, item and type
    */
   add(...of) {
@@ -41,7 +41,7 @@ export class Geoms {
 }
 
 /**
- * The geoms of a run that are seen at a frame; there is room for those of its joints' arrows.
+ * Collects the visible geoms of a run at a frame, and leaves space for the arrows of the joints.
  * @param {Run} run @param {number} frame @param {boolean} hasArrows whether arrows are on
  * @param {Geoms} to
  */

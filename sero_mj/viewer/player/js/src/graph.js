@@ -7,14 +7,14 @@ import { made, mark } from "./page.js";
 /** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[], isDashed?: boolean, tip?: string}} Line */
 /** @typedef {{x: string, y: string, xRange: [number, number], yRange: [number, number],
  *   limits: number[], height: number, lines: Line[], name?: string, now?: number}} Content
- *   x: unit; y: what, with its unit; name: of what is plotted; now: the x that is shown, which clicks change */
+ *   x: unit; y: quantity with the unit; name: name of the plotted signal; now: displayed x, which clicks change */
 
 const LIMIT = "rgb(217 77 77)";
 
 /** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-const DARKER = 0.62; // colours of lines are those of windows, which are dark
+const DARKER = 0.62; // line colors are made for windows, which are dark
 
 /** @param {number[]} rgb 0 to 1 */
 const colourOf = (rgb) => {
@@ -23,7 +23,7 @@ const colourOf = (rgb) => {
 };
 
 /**
- * The numbers of lines as uPlot has them: all at the same places.
+ * Returns the values of lines in the format of uPlot, in which all lines share the x coordinates.
  * @param {Line[]} lines @returns {uPlot.AlignedData}
  */
 export function dataOf(lines) {
@@ -33,7 +33,7 @@ export function dataOf(lines) {
   return uPlot.join(lines.map(({ x, y }) => /** @type {uPlot.AlignedData} */ ([x, y])));
 }
 
-/** What stands above a plot: what is plotted, with its unit, and its lines. @param {Content} content */
+/** Creates the heading of a plot: quantity with the unit, and the lines. @param {Content} content */
 function namesOf({ y, lines }) {
   return [made("span", y), ...lines.map(({ name, rgb, isDashed, tip }) => {
     const entry = made("span", "", tip ? { title: tip } : {}), line = made("i", "");
@@ -43,23 +43,23 @@ function namesOf({ y, lines }) {
   })];
 }
 
-/** The axis of the time: every number with the unit. @param {string} unit */
+/** Returns the time axis, with the unit at every number. @param {string} unit */
 const timeAxis = (unit) => ({
   values: (/** @type {unknown} */ _, /** @type {number[]} */ all) => all.map((each) => `${each} ${unit}`),
 });
 
-/** Digits behind the point that a step needs. @param {number} step */
+/** Returns the number of decimals that a step needs. @param {number} step */
 export function digitsOf(step) {
   let digits = 0;
   while (digits < 9 && Math.abs(1 - Math.round(step * 10 ** digits) / (step * 10 ** digits)) > 1e-6) digits++;
   return digits;
 }
 
-const SPACE = 30; // pixels between two numbers, where there is room
+const SPACE = 30; // minimum distance between two numbers, pixels
 
-/** The axis of values: digits that tell its numbers apart, and room for them. @type {uPlot.Axis} */
+/** The axis of values, with enough digits to distinguish the numbers, and space for them. @type {uPlot.Axis} */
 const VALUE_AXIS = {
-  // Steps are at most 2.5 times as long as they need to be: low plots have two numbers as well.
+  // Steps are at most 2.5 times as long as necessary, so that low plots also have two numbers.
   space: (_plot, _axis, _min, _max, length) => Math.min(SPACE, length / 5),
   values: (_plot, all, _axis, _space, step) => {
     const digits = digitsOf(step);
@@ -68,7 +68,7 @@ const VALUE_AXIS = {
   size: (_plot, texts) => 24 + 7 * Math.max(3, ...(texts ?? []).map(({ length }) => length)),
 };
 
-/** A plot, as wide as its room. */
+/** A plot that fills the width of its container. */
 export class Graph {
   /** @param {(x: number) => void} onSeek */
   constructor(onSeek) {
@@ -81,7 +81,7 @@ export class Graph {
     this.plot = null;
     /** @type {Content | null} */
     this.content = null;
-    this.look = ""; // of what cannot be changed
+    this.look = ""; // properties that uPlot cannot change
     this.drawn = ""; // look with which the lines were drawn
     this.seen = new ResizeObserver(() => this.plot?.setSize(this.#size()));
     this.seen.observe(this.room);
@@ -137,7 +137,7 @@ export class Graph {
     mark(this.room, "aria-label", `${what}: ${content.lines.map(({ name }) => name).join(", ")}`);
   }
 
-  /** Goes to where the user presses, in a plot that shows a time. @param {uPlot} plot */
+  /** Seeks the time at which the user presses, in a plot that shows a time. @param {uPlot} plot */
   #listen({ over }) {
     /** @param {PointerEvent} event */
     const seek = (event) => {

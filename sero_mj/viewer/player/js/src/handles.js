@@ -1,4 +1,4 @@
-/** Whether a pointer is on a handle: they are thin, so that some pixels beside one count as well. */
+/** Detects whether a pointer is on a handle, with a tolerance because handles are thin. */
 
 import * as THREE from "three";
 
@@ -8,7 +8,7 @@ const SPHERE = 2, ARROW = 100, ARROW2 = 102; // mjtGeom
 const turn = new THREE.Quaternion(), along = new THREE.Vector3(), end = new THREE.Vector3();
 
 /**
- * Ends of the middle line of a geom, and its radius, m.
+ * Computes the ends of the center line of a geom, and returns the radius, m.
  * @param {import("./geoms.js").Geoms} geoms @param {number} k
  * @param {THREE.Vector3} from @param {THREE.Vector3} to
  */
@@ -29,7 +29,7 @@ function lineOf({ of, positions, rotations, sizes }, k, from, to) {
   return Math.min(...size.filter((_, c) => c !== longest));
 }
 
-/** How far a point is from a line between two others, pixels. @typedef {{x: number, y: number}} Pixel */
+/** Returns the distance of a point from the segment between two points, pixels. @typedef {{x: number, y: number}} Pixel */
 /** @param {Pixel} at @param {Pixel} a @param {Pixel} b */
 export function distanceTo(at, a, b) {
   const [x, y] = [b.x - a.x, b.y - a.y], length = x * x + y * y;
@@ -38,7 +38,7 @@ export function distanceTo(at, a, b) {
 }
 
 /**
- * Whether a pixel is on a handle, or near one.
+ * Returns whether a pixel is on or near a handle.
  * @param {import("./stage.js").Stage} stage @param {import("./geoms.js").Geoms} geoms
  * @param {Pixel} at @param {number} tolerance pixels
  */

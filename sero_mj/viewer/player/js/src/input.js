@@ -1,11 +1,11 @@
-/** Pointer, wheel and keys over the image of a live page, as messages to its server. */
+/** Sends pointer, wheel and key events over the image of a live page to the server. */
 
 import { isTakenBy, nameOf } from "./keys.js";
 
 /** @typedef {{x: number, y: number}} Pixel of the image, from its upper left corner */
 
 /**
- * What input needs of its page.
+ * The functions of the page that input uses.
  * @typedef {{send: (message: object) => void, canAct: () => boolean, isDragging: () => boolean,
  *   isOnHandle: (at: Pixel, tolerance: number) => boolean, isOnSomething: (at: Pixel) => boolean, setTurning: (isOn: boolean) => void,
  *   localKey: (name: string) => boolean, wake: () => void}} Page
@@ -13,16 +13,16 @@ import { isTakenBy, nameOf } from "./keys.js";
  *   localKey: performs the action of a key that needs no server
  */
 
-const HOLD = 500; // ms; a finger that is still for longer grabs a link
+const HOLD = 500; // ms; a finger that is still for this time grabs a link
 const STILL = 8; // pixels; a finger that moves less is still
 const TOLERANCE = 4, FINGER = 12; // pixels around a handle, for a mouse and for a finger
 const STEP = 100, LINES = 3; // pixels of the screen, or lines, per notch of a wheel
-/** As the server numbers buttons, by the browser's number. */
+/** Number of a button in messages, by the browser's number. */
 const BUTTONS = [0, 2, 1];
 
 /**
  * Notches of a wheel event away from the user, independent of the screen and of the page's zoom.
- * @param {{deltaMode: number, deltaY: number}} event @param {number} ratio pixels of the screen by those of the page
+ * @param {{deltaMode: number, deltaY: number}} event @param {number} ratio pixels of the screen per pixel of the page
  */
 export const stepsOf = ({ deltaMode, deltaY }, ratio) => -deltaY * (deltaMode ? 1 / LINES : ratio / STEP);
 
@@ -38,9 +38,9 @@ export class Input {
     this.fingers = new Set();
     /** @type {ReturnType<typeof setTimeout> | undefined} */
     this.hold = undefined;
-    this.from = { x: 0, y: 0 }; // where a finger was put down
+    this.from = { x: 0, y: 0 }; // position at which a finger was put down
     this.isPressed = false;
-    this.isOver = false; // whether the server has a pointer over the image
+    this.isOver = false; // whether the server knows a pointer over the image
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],

@@ -1,4 +1,4 @@
-/** Decor that is drawn geom by geom: smart arrows, axes and what other packages draw. */
+/** Decor that is drawn geom by geom: smart arrows, axes and the decor of other packages. */
 
 import * as THREE from "three";
 import { VECTOR } from "./geoms.js";
@@ -14,10 +14,10 @@ const UP = Math.PI / 2;
 /** @typedef {(size: number[]) => [number[], number]} Scale scale, and offset along z */
 /** @typedef {[THREE.BufferGeometry, Scale]} Shape */
 
-/** A cone of radius 1 from z = 0 to 1, or down. @param {number} [way] */
+/** Returns a cone of radius 1 from z = 0 to 1, or to -1. @param {number} [way] */
 const cone = (way = 1) => new THREE.ConeGeometry(1, 1, 24).translate(0, 0.5, 0).rotateX(way * UP);
 
-/** A cylinder of radius 1 from z = -1 to 1. @param {boolean} [isOpen] */
+/** Returns a cylinder of radius 1 from z = -1 to 1. @param {boolean} [isOpen] */
 const rod = (isOpen = false) => new THREE.CylinderGeometry(1, 1, 2, 20, 1, isOpen).rotateX(UP);
 
 /** @param {number[]} corners @param {number[]} [index] */
@@ -29,14 +29,14 @@ function made(corners, index) {
   return shape;
 }
 
-/** The unit shapes of a type, each with how a geom's size scales it. @type {Record<number, () => Shape[]>} */
+/** Unit shapes of a type of geoms, each with the function that scales it by the size of a geom. @type {Record<number, () => Shape[]>} */
 const SHAPES = {
   [SPHERE]: () => [[new THREE.SphereGeometry(1, 20, 14), (s) => [s, 0]]],
   [ELLIPSOID]: () => [[new THREE.SphereGeometry(1, 20, 14), (s) => [s, 0]]],
   [CAPSULE]: () => [[tube(), (s) => [s, 0]]],
   [CYLINDER]: () => [[rod(), (s) => [s, 0]]],
   [BOX]: () => [[new THREE.BoxGeometry(2, 2, 2), (s) => [s, 0]]],
-  // Drawn half as long as its size, a third of that head.
+  // An arrow is half as long as its size, and a third of its length is the head.
   [ARROW]: () => [
     [rod(), ([a, b, c]) => [[a, b, c / 6], c / 6]],
     [cone(), ([a, b, c]) => [[1.75 * a, 1.75 * b, c / 6], c / 3]],
@@ -53,7 +53,7 @@ const SHAPES = {
   [TRIANGLE]: () => [[made([0, 0, 0, 1, 0, 0, 0, 1, 0]), ([a, b]) => [[a, b, 1], 0]]],
 };
 
-/** Corners of what is drawn as lines, pairs of ends. @type {Record<number, number[]>} */
+/** Corners of geoms that are drawn as lines, as pairs of ends. @type {Record<number, number[]>} */
 const LINES = {
   [LINE]: [0, 0, 0, 0, 0, 1],
   [LINEBOX]: [0, 1, 2].flatMap((axis) => [[-1, -1], [-1, 1], [1, -1], [1, 1]].flatMap(([a, b]) =>
@@ -61,18 +61,18 @@ const LINES = {
       k === axis ? end : k === (axis + 1) % 3 ? a : b)))),
 };
 
-/** Lets y lean towards x. @param {THREE.Matrix4} matrix @param {number} share of x */
+/** Shears the y axis toward the x axis. @param {THREE.Matrix4} matrix @param {number} share of x */
 function lean({ elements }, share) {
   for (let c = 0; c < 3; c++) elements[4 + c] += share * elements[c];
 }
 
-// What every geom is computed with.
+// Temporary objects for the computation of each geom.
 const turn = new THREE.Quaternion(), at = new THREE.Vector3(), own = new THREE.Vector3();
 const matrix = new THREE.Matrix4(), scaled = new THREE.Vector3(), colour = new THREE.Color();
 /** @type {number[]} */
 const size = [0, 0, 0];
 
-/** Reads pose, size and colour of a geom. @param {Geoms} geoms @param {number} k */
+/** Reads pose, size and color of a geom. @param {Geoms} geoms @param {number} k */
 function read({ positions, rotations, sizes, rgba }, k) {
   turn.set(rotations[4 * k + 1], rotations[4 * k + 2], rotations[4 * k + 3], rotations[4 * k]).normalize();
   at.fromArray(positions, 3 * k);
@@ -80,7 +80,7 @@ function read({ positions, rotations, sizes, rgba }, k) {
   colour.setRGB(rgba[4 * k] / 255, rgba[4 * k + 1] / 255, rgba[4 * k + 2] / 255);
 }
 
-/** The material of a type of geoms. @param {number} type @param {boolean} isTransparent */
+/** Returns the material of a type of geoms. @param {number} type @param {boolean} isTransparent */
 function materialOf(type, isTransparent) {
   const material = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide, transparent: isTransparent });
   material.onBeforeCompile = (shader) => {
@@ -94,7 +94,7 @@ function materialOf(type, isTransparent) {
   return material;
 }
 
-/** A mesh that shows geoms of one type by one of its shapes; it grows with their number. */
+/** A mesh that draws one shape of all geoms of a type, and grows with the number of geoms. */
 class Solids {
   /** @param {number} type @param {boolean} isFaint @param {Shape} shape @param {THREE.Group} group */
   constructor(type, isFaint, [shape, scale], group) {
@@ -106,7 +106,7 @@ class Solids {
     this.capacity = 0;
     this.look = new THREE.InstancedBufferAttribute(new Float32Array(0), 1);
     this.mesh = this.#make(4);
-    /** Which geoms its instances are. @type {number[]} */
+    /** Indices of the geoms that the instances show. @type {number[]} */
     this.shown = [];
   }
 
@@ -123,7 +123,7 @@ class Solids {
   }
 
   /**
-   * @param {Geoms} geoms @param {number[]} shown which of them
+   * @param {Geoms} geoms @param {number[]} shown indices of the shown geoms
    * @param {Map<string, THREE.Vector3>} places of smart arrows
    */
   place(geoms, shown, places) {
@@ -131,7 +131,7 @@ class Solids {
     if (shown.length > this.capacity) {
       this.group.remove(this.mesh);
       this.mesh.dispose();
-      this.shape.dispose(); // with the old instances' numbers
+      this.shape.dispose(); // frees the attributes of the old instances, too
       this.mesh = this.#make(2 * shown.length);
     }
     const { mesh, look, scale, type } = this;
@@ -155,7 +155,7 @@ class Solids {
   }
 }
 
-/** Lines that show geoms of one type. */
+/** Lines that draw geoms of one type. */
 class Lines {
   /** @param {number} type @param {THREE.Group} group */
   constructor(type, group) {
@@ -179,7 +179,7 @@ class Lines {
     }
   }
 
-  /** @param {Geoms} geoms @param {number[]} shown which of them */
+  /** @param {Geoms} geoms @param {number[]} shown indices of the shown geoms */
   place(geoms, shown) {
     if (shown.length > this.capacity) this.#make(2 * shown.length);
     const { geometry } = this.mesh, { position, color } = geometry.attributes, count = this.corners.length / 3;
@@ -200,13 +200,13 @@ class Lines {
   }
 }
 
-/** All of it, one mesh for each shape of what is opaque, and one of what is not. */
+/** All decor, with one mesh per shape for opaque geoms, and one for transparent geoms. */
 export class Items {
   constructor() {
     this.group = new THREE.Group();
-    /** Where smart arrows are, for cards. @type {Map<string, THREE.Vector3>} */
+    /** Positions of smart arrows, for billboards. @type {Map<string, THREE.Vector3>} */
     this.places = new Map();
-    /** By type, negative for what is transparent. @type {Map<number, {shown: number[], solids: Solids[], lines: Lines[]}>} */
+    /** Drawn objects by geom type; negative for transparent geoms. @type {Map<number, {shown: number[], solids: Solids[], lines: Lines[]}>} */
     this.types = new Map();
     /** @type {Geoms | null} */
     this.geoms = null;
@@ -225,7 +225,7 @@ export class Items {
     return found;
   }
 
-  /** Places it. @param {Geoms} geoms */
+  /** Updates the decor. @param {Geoms} geoms */
   place(geoms) {
     this.geoms = geoms;
     for (const each of this.types.values()) each.shown.length = 0;
@@ -240,10 +240,10 @@ export class Items {
     }
   }
 
-  /** The item on a ray, nearest first. @param {THREE.Raycaster} ray */
+  /** Returns the nearest item on a ray. @param {THREE.Raycaster} ray */
   pick(ray) {
     const all = [...this.types.values()].flatMap(({ solids }) => solids).filter(({ mesh }) => mesh.count);
-    for (const { mesh } of all) mesh.boundingSphere = null; // it has moved
+    for (const { mesh } of all) mesh.boundingSphere = null; // it is out of date
     const [hit] = ray.intersectObjects(all.map(({ mesh }) => mesh));
     if (!hit || hit.instanceId === undefined || !this.geoms) return null;
     const k = all.find(({ mesh }) => mesh === hit.object)?.shown[hit.instanceId] ?? 0;

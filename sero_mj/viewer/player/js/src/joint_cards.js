@@ -8,20 +8,20 @@ import { BILLBOARD, VECTOR } from "./geoms.js";
 
 const TORQUES = ["torques", "torque_error"];
 
-/** The billboards of a run; their keys are kind and item. */
+/** The billboards of a run, with kind and item as keys. */
 export class JointCards {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    const areSome = run.joints.some((joint) => joint.card); // otherwise all joints have one
+    const areSome = run.joints.some((joint) => joint.card); // otherwise all joints have billboards
     this.joints = [...run.joints.keys()].filter((j) => (run.joints[j].card || !areSome) && run.joints[j].lines.length);
     this.chosen = -1;
     this.vector = -1; // smart arrow that was clicked on
-    this.quantity = ""; // quantity of the arrows; empty for that of the file
+    this.quantity = ""; // quantity of the arrows; empty for the quantity in the file
   }
 
   /**
-   * The contents at a frame.
+   * Returns the contents of the billboards at a frame.
    * @param {import("./stage.js").Stage} stage @param {number} frame @returns {Content[]}
    */
   at(stage, frame) {
@@ -35,7 +35,7 @@ export class JointCards {
     return found;
   }
 
-  /** The lines of a joint; a torque that is not declared is the quantity of the arrows. @param {number} joint */
+  /** Returns the lines of a joint. A torque line that is not declared shows the arrows' quantity. @param {number} joint */
   #linesOf(joint) {
     const { lines, details, follows } = this.run.joints[joint];
     const isTorque = follows && lines.length === 1 && TORQUES.includes(lines[0].key);

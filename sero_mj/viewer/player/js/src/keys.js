@@ -1,15 +1,15 @@
-/** Names of keys as the server knows them, and which are left to the browser. */
+/** Names of keys in messages to the server, and the keys that are left to the browser. */
 
 /** @type {Record<string, string>} */
 const NAMED = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", Escape: "escape",
   Backspace: "backspace", Delete: "delete", Home: "home", End: "end", F1: "f1", F2: "f2", F3: "f3" };
 const WITH_CONTROL = ["z", "y", "c"];
-// What elements do with keys themselves.
+// Keys that elements handle.
 const OF_BUTTONS = [" ", "Enter"];
 const OF_SLIDERS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
 
 /**
- * The name of a key; empty for what is the browser's.
+ * Returns the name of a key, or an empty string for a key of the browser.
  * @param {Pick<KeyboardEvent, "key" | "ctrlKey" | "metaKey" | "altKey" | "shiftKey">} event
  */
 export function nameOf({ key, ctrlKey, metaKey, altKey, shiftKey }) {
@@ -24,7 +24,7 @@ export function nameOf({ key, ctrlKey, metaKey, altKey, shiftKey }) {
 }
 
 /**
- * Whether the element that has the focus takes a key itself.
+ * Returns whether the focused element handles a key.
  * @param {{tagName: string, type?: string}} element @param {string} key as in a KeyboardEvent
  */
 export function isTakenBy({ tagName, type }, key) {

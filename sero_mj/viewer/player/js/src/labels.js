@@ -1,13 +1,13 @@
-/** Text at places of the world: names of frames, and labels of decor. */
+/** Text at positions in the world: names of frames, and labels of decor. */
 
 import * as THREE from "three";
 import { made, write } from "./page.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {[text: string, x: number, y: number, z: number, kind?: number, item?: number]} Label m; a
- *   click on one that is of a kind tells of its kind and item, `Kind` in Python */
+ *   click on a label with a kind reports this kind and item, see `Kind` in Python */
 
-/** The labels of a run at a frame. @param {Run} run @param {number} frame @returns {Label[]} */
+/** Returns the labels of a run at a frame. @param {Run} run @param {number} frame @returns {Label[]} */
 export function labelsAt({ labels, frames }, frame) {
   if (!labels) return [];
   return Array.from({ length: labels.at.length / frames }, (_, k) => {
@@ -20,10 +20,10 @@ export function labelsAt({ labels, frames }, frame) {
 const LINE = 18, CHARACTER = 7.4, MARGIN = 14, LOWER = 3;
 
 /**
- * Where a label covers none before it: there, or some lines lower; null where that is crowded,
- * for farther away a name would be taken for that of something else.
+ * Returns the y at which a label covers no earlier label: at its position or some lines below.
+ * Returns null if there is no space, because a name farther away would seem to name another item.
  * @param {number} x of its middle @param {number} y @param {string} text
- * @param {[x: number, y: number, width: number][]} taken by those before it; it is added
+ * @param {[x: number, y: number, width: number][]} taken by earlier labels; the new label is added
  */
 export function clearOf(x, y, text, taken) {
   const width = CHARACTER * Math.max(...text.split("\n").map((line) => line.length)) + MARGIN;
@@ -36,7 +36,7 @@ export function clearOf(x, y, text, taken) {
   return null;
 }
 
-/** All of it. */
+/** All labels of the image. */
 export class Labels {
   /** @param {HTMLElement} room */
   constructor(room) {
@@ -55,7 +55,7 @@ export class Labels {
     return box;
   }
 
-  /** Writes them below their places. @param {import("./stage.js").Stage} stage @param {Label[]} labels */
+  /** Writes labels below their positions. @param {import("./stage.js").Stage} stage @param {Label[]} labels */
   layOut(stage, labels) {
     const { width, height } = stage.size;
     /** @type {[number, number, number][]} */

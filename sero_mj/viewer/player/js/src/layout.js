@@ -1,16 +1,16 @@
 /** Positions of billboards in a column: close to their items, without overlap. */
 
 /**
- * The middles of boxes, one below the other.
+ * Returns the centers of boxes that are placed one below the other.
  * @param {number[]} wanted middles in ascending order @param {number[]} heights of the boxes
  * @param {number} gap between two @param {number} low @param {number} high bounds of the column
  * @returns {number[]}
  */
 export function stacked(wanted, heights, gap, low, high) {
-  /** How far each middle is below the first one where all touch. */
+  /** Distance of each center below the first one if all boxes touch. */
   const below = heights.map((_, k) =>
     heights.slice(0, k).reduce((sum, each) => sum + each + gap, 0) + (heights[k] - heights[0]) / 2);
-  /** Neighbours that touch move as one, at the mean of what they want. */
+  /** Neighbors that touch move as one block, at the mean of the wanted positions. */
   /** @type {{sum: number, count: number}[]} */
   const pools = [];
   wanted.forEach((middle, k) => {

@@ -1,16 +1,16 @@
-/** The lights of a model that brings its own; they are as bright as in MuJoCo's classic pictures. */
+/** The lights of a model with its own lights, as bright as in MuJoCo's classic renderer. */
 
 import * as THREE from "three";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Lamp} Lamp */
 
-const FULL = Math.PI; // intensity of a lamp that shows colours as they are
+const FULL = Math.PI; // intensity of a lamp that shows colors unchanged
 const DIRECTIONAL = 1, POINT = 2; // mjtLightType
-const MOST = 8; // as many has MuJoCo's classic renderer
-const MOST_EXPONENT = 128; // of how a spot becomes darker beside its middle
+const MOST = 8; // maximum number of lights in MuJoCo's classic renderer
+const MOST_EXPONENT = 128; // maximum exponent of the decrease of a spot's intensity off its axis
 
-// Spots as OpenGL has them; how soft their edge is says the exponent.
+// Spots as in OpenGL: the exponent determines the softness of the edge.
 const chunks = THREE.ShaderChunk;
 chunks.lights_pars_begin = chunks.lights_pars_begin.replace(
   "return smoothstep( coneCosine, penumbraCosine, angleCosine );",
@@ -24,7 +24,7 @@ const colour = ([r, g, b]) => new THREE.Color(r, g, b);
 export class Lamps {
   /**
    * @param {import("./data.js").Lights} lights @param {THREE.Scene} scene
-   * @param {THREE.Camera} camera @param {number} reach half the side of what has shadows, m
+   * @param {THREE.Camera} camera @param {number} reach half the side of the area with shadows, m
    */
   constructor(lights, scene, camera, reach) {
     const ambient = lights.others.reduce(
@@ -40,7 +40,7 @@ export class Lamps {
       if (!(light instanceof THREE.PointLight)) scene.add(light.target);
     }
     const found = this.lamps.find(({ lamp }) => lamp.shadow && lamp.type !== POINT);
-    /** The one that casts shadows. */
+    /** The lamp that casts shadows. */
     this.sun = /** @type {THREE.DirectionalLight | THREE.SpotLight} */ (
       found ? found.light : new THREE.DirectionalLight());
     this.sun.shadow.mapSize.set(1024, 1024);
@@ -60,7 +60,7 @@ export class Lamps {
     return new THREE.SpotLight(rgb, FULL, 0, angle, Math.min(exponent / MOST_EXPONENT, 1), 0);
   }
 
-  /** Places them. @param {THREE.Matrix4[]} bodies */
+  /** Updates the lights. @param {THREE.Matrix4[]} bodies */
   place(bodies) {
     for (const { lamp, light } of this.lamps) {
       const at = new THREE.Vector3().fromArray(lamp.pos), way = new THREE.Vector3().fromArray(lamp.dir);

@@ -7,9 +7,9 @@ const isDark = matchMedia("(prefers-color-scheme: dark)");
 /** @param {unknown} text @returns {Look | null} */
 export const lookIn = (text) => text === "light" || text === "dark" ? text : null;
 
-const asked = lookIn(document.documentElement.dataset.look); // before it is what is shown
+const asked = lookIn(document.documentElement.dataset.look); // read before it is set to the displayed look
 
-/** The look to open a page in. @param {Look | null} [chosen] by its user, before */
+/** Returns the initial look of a page. @param {Look | null} [chosen] earlier by the user */
 export const lookToOpen = (chosen = null) => asked ?? chosen ?? (isDark.matches ? "dark" : "light");
 
 /** Calls a function when the browser's look changes, unless the page requests one. @param {() => void} act */

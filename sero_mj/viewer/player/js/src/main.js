@@ -25,5 +25,5 @@ main().catch((error) => {
   const problem = byId("problem");
   problem.hidden = false;
   problem.append(` (${error.message})`);
-  document.documentElement.dataset.ready = "0"; // hides what cannot act
+  document.documentElement.dataset.ready = "0"; // hides controls that do not work yet
 });

@@ -1,4 +1,4 @@
-/** A plane that reflects: the scene as seen by a camera behind it, as MuJoCo has one at most. */
+/** A reflecting plane: shows the scene as seen by a camera behind the plane. MuJoCo has at most one. */
 
 import * as THREE from "three";
 
@@ -6,21 +6,21 @@ import * as THREE from "three";
 /** @typedef {import("./data.js").Geom} Geom */
 
 const PLANE = 0; // mjtGeom
-const ABOVE = 1e-3; // m, over the plane, from where on things are seen in it
+const ABOVE = 1e-3; // height above the plane from which objects are reflected, m
 
-/** The plane that reflects, with how much; nothing for none. @param {Run} run */
+/** Returns the reflecting plane and its reflectance, or nothing. @param {Run} run */
 export function mirrorOf({ geoms, materials }) {
   const geom = geoms.find(({ type, material, rgba }) => type === PLANE && rgba[3] === 255
     && material !== undefined && materials[material].finish[3] > 0);
   return geom && { geom, share: materials[geom.material ?? 0].finish[3] };
 }
 
-/** Draws what is seen in a plane. */
+/** Draws the reflection in a plane. */
 export class Mirror {
   constructor() {
     this.target = new THREE.WebGLRenderTarget(4, 4, { samples: 4 });
     this.camera = new THREE.PerspectiveCamera();
-    /** For the shader of surfaces. */
+    /** Uniforms for the shader of surfaces. */
     this.uniforms = {
       mirror: { value: this.target.texture },
       toMirror: { value: new THREE.Matrix4() },
@@ -63,7 +63,7 @@ export class Mirror {
     uniforms.isMirror.value = 1;
   }
 
-  /** Makes a plane of the world the near end of what the camera sees. @param {THREE.Plane} plane */
+  /** Makes a plane in the world the near clipping plane of the camera. @param {THREE.Plane} plane */
   #cut(plane) {
     const { camera } = this, { elements: e } = camera.projectionMatrix;
     const { normal: n, constant } = plane.applyMatrix4(camera.matrixWorldInverse);

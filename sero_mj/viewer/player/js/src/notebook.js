@@ -1,6 +1,6 @@
 /**
- * The page in a cell of a notebook: live as long as its kernel shows it, else the run that the
- * notebook has kept beside it.
+ * The page in a cell of a notebook: live while the kernel runs the viewer, otherwise the run that
+ * the notebook has stored.
  */
 
 import { decode, inflate } from "./data.js";
@@ -10,19 +10,19 @@ import { CellTransport } from "./transport.js";
 
 const PATIENCE = 1500, PATIENCE_AFTER_ANSWER = 10_000; // ms for the kernel to answer
 
-/** The run that is kept in another output of the cell; empty for none. @param {string} cell */
+/** Returns the run that another output of the cell stores, or an empty string. @param {string} cell */
 function keptRun(cell) {
   try {
     return parent.document.querySelector(`[data-sero-mj-run="${cell}"]`)?.textContent?.trim() ?? "";
-  } catch { // the notebook's page is none of ours
+  } catch { // the page of the notebook has another origin
     return "";
   }
 }
 
-/** The element that this page is in. */
+/** The element that contains this page. */
 const frame = () => /** @type {HTMLIFrameElement | null} */ (globalThis.frameElement);
 
-/** Begins again. @param {boolean} hasAnswered whether the kernel has just answered */
+/** Starts again. @param {boolean} hasAnswered whether the kernel has just answered */
 function again(hasAnswered) {
   const element = frame();
   if (!element?.isConnected) return;

@@ -1,4 +1,4 @@
-/** How much of the sky robots hide from the floor beneath them: what makes them stand on it. */
+/** Ambient occlusion: darkens the floor below robots, which hide part of the sky from it. */
 
 import * as THREE from "three";
 import { matrixOf } from "./robots.js";
@@ -7,13 +7,13 @@ import { MESH, extentsOf, isPlane } from "./surfaces.js";
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
 
-const MOST = 16; // capsules that hide more than the others
-const LEAST = 0.004; // of the sky, which nobody sees
-const AROUND = 0.4; // m about them, which they darken
-const SIDE = 64; // texels. A loop over the capsules for every pixel costs software 30 to 50 ms a picture
+const MOST = 16; // maximum number of capsules, those that hide most
+const LEAST = 0.004; // hidden fraction of the sky that is invisible
+const AROUND = 0.4; // m; size of the darkened area around the capsules
+const SIDE = 64; // texels. A loop over the capsules for every pixel takes 30 to 50 ms per image in software
 
 /**
- * The capsule about a geom's box, in the frame of its body: ends and radius, m.
+ * Returns the capsule around the box of a geom, in the frame of the body: ends and radius, m.
  * @param {Geom} geom @param {Run} run
  */
 function capsuleOf(geom, run) {
@@ -31,8 +31,9 @@ function capsuleOf(geom, run) {
 }
 
 /**
- * What a capsule leaves of the sky at a place on the floor: it hides what a ball about its nearest
- * point does, cos(angle to the normal) r^2 / d^2. Source: Quilez, Sphere - ambient occlusion, 2006.
+ * Returns the fraction of the sky that a capsule leaves visible at a point on the floor. The capsule
+ * hides as much as a sphere around its nearest point, cos(angle to the normal) r^2 / d^2.
+ * Source: Quilez, Sphere - ambient occlusion, 2006.
  * @param {number[]} capsule ends, each x, y and height over the floor, and radius, m
  * @param {number} x @param {number} y m
  */
@@ -44,7 +45,7 @@ export function seenPast([ax, ay, az, bx, by, bz, radius], x, y) {
   return height > 0 ? 1 - Math.min(height / Math.sqrt(far) * square / far, 0.95) : 1;
 }
 
-/** A map of the floor about robots, with the share of the sky that is seen from there. */
+/** A map of the floor around robots, with the fraction of the sky that is visible from each point. */
 export class Occlusion {
   /** @param {Run} run @param {number} floor its height, m */
   constructor(run, floor) {
@@ -56,13 +57,13 @@ export class Occlusion {
     this.texture = new THREE.DataTexture(this.texels, SIDE, SIDE, THREE.RedFormat);
     this.texture.minFilter = this.texture.magFilter = THREE.LinearFilter;
     this.texture.needsUpdate = true;
-    /** Corner and one over the side of the map, m. */
+    /** Corner of the map, m, and reciprocal of its side length, 1/m. */
     this.uniforms = { open: { value: this.texture }, map: { value: new THREE.Vector3(0, 0, 1) } };
-    /** What the map shows. @type {number[][]} */
+    /** Capsules in the map. @type {number[][]} */
     this.drawn = [];
   }
 
-  /** Draws the map anew where something has moved. @param {THREE.Matrix4[]} matrices poses of bodies */
+  /** Draws the map again if something has moved. @param {THREE.Matrix4[]} matrices poses of bodies */
   place(matrices) {
     const near = this.#near(matrices), { drawn } = this;
     const isSame = near.length === drawn.length
@@ -75,7 +76,7 @@ export class Occlusion {
     const reach = (/** @type {number} */ axis, /** @type {number} */ sign) => Math.max(...near.map((each) =>
       Math.max(sign * each[axis], sign * each[axis + 3]) + each[6])) + AROUND;
     const low = [-reach(0, -1), -reach(1, -1)], high = [reach(0, 1), reach(1, 1)];
-    // Steps of side and corner are those of texels, so that edges do not swim while robots move.
+    // Side and corner change in steps of texels, so that edges do not flicker while robots move.
     const side = 2 ** Math.ceil(Math.log2(Math.max(high[0] - low[0], high[1] - low[1]) + 1e-6));
     const texel = side / SIDE;
     const [x, y] = [0, 1].map((axis) => Math.round((low[axis] + high[axis] - side) / 2 / texel) * texel);
@@ -89,7 +90,7 @@ export class Occlusion {
     }
   }
 
-  /** The capsules that hide most. @param {THREE.Matrix4[]} matrices */
+  /** Returns the capsules that hide most. @param {THREE.Matrix4[]} matrices */
   #near(matrices) {
     return this.capsules.map(({ body, radius, begin, end }) => {
       const [a, b] = [begin, end].map((each) => each.clone().applyMatrix4(matrices[body]));
@@ -101,7 +102,7 @@ export class Occlusion {
   }
 
   /**
-   * Lets the floor's shader hide the sky at `spot`.
+   * Makes the shader of the floor hide the sky at `spot`.
    * @param {THREE.WebGLProgramParametersWithUniforms} shader that `shade` has changed
    */
   shade(shader) {
@@ -111,6 +112,6 @@ export class Occlusion {
       "$& reflectedLight.indirectDiffuse *= texture2D(open, (spot - map.xy) * map.z).r;");
   }
 
-  /** Frees its texture. */
+  /** Frees the texture. */
   dispose() { this.texture.dispose(); }
 }

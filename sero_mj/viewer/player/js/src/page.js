@@ -3,13 +3,13 @@
 /** @template {Element} [T=HTMLElement] @param {string} id */
 export const byId = (id) => /** @type {T} */ (/** @type {unknown} */ (document.getElementById(id)));
 
-/** The boxes of the visible ones of some elements. @param {string[]} selectors */
+/** Returns the boxes of elements that are visible. @param {string[]} selectors */
 export const boxesOf = (selectors) => selectors.flatMap((each) => [...document.querySelectorAll(each)])
   .filter((each) => each.getClientRects().length)
   .map((each) => each.getBoundingClientRect());
 
 /**
- * A new element.
+ * Returns a new element.
  * @template {keyof HTMLElementTagNameMap} K
  * @param {K} tag @param {string} text @param {Record<string, string>} [attributes]
  * @returns {HTMLElementTagNameMap[K]}
@@ -21,7 +21,7 @@ export function made(tag, text, attributes = {}) {
   return element;
 }
 
-/** Writes a text if it has changed. @param {Element} element @param {string} text */
+/** Sets the text of an element if it has changed. @param {Element} element @param {string} text */
 export function write(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }

@@ -16,7 +16,7 @@ import { made } from "./page.js";
  * @typedef {{send: (message: object) => void, list: (room: HTMLElement) => List}} Context
  */
 
-/** The key of a node: its id, or its number among the nodes of its kind without an id. @param {Node[]} nodes */
+/** Returns the key of a node: the id, or the index among nodes of the same kind without an id. @param {Node[]} nodes */
 export function keysOf(nodes) {
   /** @type {Record<string, number>} */
   const counts = {};
@@ -27,7 +27,7 @@ export function keysOf(nodes) {
   });
 }
 
-/** The nodes of each line. @param {Node[]} nodes */
+/** Returns the nodes of each line. @param {Node[]} nodes */
 export function linesOf(nodes) {
   /** @type {number[][]} */
   const lines = [];
@@ -39,7 +39,7 @@ export function linesOf(nodes) {
 }
 
 /**
- * Makes elements the children of another one in their order; elements that are in order are not moved.
+ * Makes elements the children of another element in this order, without moving ordered ones.
  * @param {HTMLElement} room @param {HTMLElement[]} wanted
  */
 export function arrange(room, wanted) {
@@ -52,7 +52,7 @@ export function arrange(room, wanted) {
   }
 }
 
-/** Nodes of one level. */
+/** The nodes of one level. */
 class List {
   /** @param {HTMLElement} room @param {Context} context */
   constructor(room, context) {
@@ -93,7 +93,7 @@ class List {
   /** @param {string} key */
   #element(key) { return /** @type {Widget} */ (this.widgets.get(key)).element; }
 
-  /** Disposes of its widgets. */
+  /** Disposes of the widgets. */
   dispose() {
     for (const widget of this.widgets.values()) widget.dispose?.();
   }
@@ -114,7 +114,7 @@ function place(nodes, widgets) {
   });
 }
 
-/** A tree. */
+/** A tree of widgets. */
 export class Tree {
   /**
    * @param {HTMLElement} room @param {string} name of the tree in messages

@@ -1,4 +1,4 @@
-/** A page: it shows the state that its transport brings, and sends what its user does. */
+/** A page: shows the state that the transport receives, and sends the user's actions. */
 
 import { isOnHandle } from "./handles.js";
 import { Input } from "./input.js";
@@ -23,17 +23,17 @@ export class Player {
   /** @param {Transport} transport of a live run, or a `Recording` */
   constructor(transport = new SocketTransport("/live", accessOf())) {
     this.transport = transport;
-    /** What has come and is not shown yet, the latest of each. @type {import("./sections.js").Sections} */
+    /** Received sections that are not shown yet, with the latest value of each. @type {import("./sections.js").Sections} */
     this.waiting = { json: new Map(), bytes: new Map() };
-    this.unanswered = 0; // messages that are not shown yet: the server sends few more
-    this.serial = -1; // of the last camera that the server has moved
+    this.unanswered = 0; // messages that are not shown yet; the server limits their number
+    this.serial = -1; // number of the last camera move by the server
     /** The latest values of sections that are read later. @type {Record<string, any>} */
     this.now = {};
     this.recording = transport instanceof Recording ? transport : null;
     /** @type {State | Recording | null} */
     this.state = null;
-    this.isFollowing = true; // whether the camera is that of who is in control
-    this.isTurned = false; // whether we have turned it, which nobody knows yet
+    this.isFollowing = true; // whether the camera is that of the browser in control
+    this.isTurned = false; // whether the user has rotated the camera, which nobody knows yet
     this.surround = new Surround((message) => this.#act(message));
     this.view = new View({
       frame: (passed) => this.#frame(passed),
@@ -57,7 +57,7 @@ export class Player {
       wake: () => this.view.wake(false),
     });
     this.#listen();
-    // Files that are dropped are sent by a script of their own, `uploads.js`.
+    // A separate script, `uploads.js`, sends dropped files.
     Object.assign(/** @type {any} */ (globalThis).drops ?? {},
       { may: () => this.isInControl, key: () => this.now.you?.key ?? "" });
     this.#connect();
@@ -72,7 +72,7 @@ export class Player {
   /** The look that the user has chosen on a page of this server; null for none. */
   #keptLook() { return this.recording ? null : keptLook(); }
 
-  /** Whether the server listens to us. */
+  /** Whether this browser is in control. */
   get isInControl() {
     return this.now.you !== undefined && this.now.control?.holder === this.now.you.id;
   }
@@ -121,7 +121,7 @@ export class Player {
     this.unanswered++;
     try {
       const { json, bytes } = message instanceof ArrayBuffer ? readSections(message) : message;
-      // What has come for another model does not fit any more.
+      // Sections for another model no longer fit.
       if (bytes.has("run")) waiting.bytes.clear();
       for (const [name, value] of json) waiting.json.set(name, value);
       for (const [name, value] of bytes) waiting.bytes.set(name, value);
@@ -137,7 +137,7 @@ export class Player {
     if (reload) location.reload();
   }
 
-  /** Takes what has come. */
+  /** Applies the received sections. */
   #take() {
     const { json, bytes } = this.waiting;
     if (!json.size && !bytes.size) return;
@@ -163,7 +163,7 @@ export class Player {
   /** @param {string} name @param {any} value */
   #takeJson(name, value) {
     if (this.state instanceof State && this.state.takeJson(name, value)) this.view.isDirty = true;
-    if (name === "hover" && !this.isInControl) return; // it is beside the pointer of another one
+    if (name === "hover" && !this.isInControl) return; // it belongs to the pointer of another browser
     if (name === "request") {
       this.now.request = value;
       this.#showRequest();
@@ -185,7 +185,7 @@ export class Player {
     }
   }
 
-  /** Draws now. */
+  /** Draws immediately. */
   draw() {
     this.view.isDirty = true;
     this.#frame(0);
@@ -204,7 +204,7 @@ export class Player {
     view.draw(state.moment(view.stage, this.now));
   }
 
-  /** Sends what only counts from who is in control. @param {object} message */
+  /** Sends a message if this browser is in control. @param {object} message */
   #act(message) {
     if (!this.isInControl) return;
     this.#tellCamera();
@@ -216,7 +216,7 @@ export class Player {
     this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight, page: innerWidth }));
   }
 
-  /** Tells where our camera is, if we have turned it. */
+  /** Sends the camera to the server, if the user has rotated it. */
   #tellCamera() {
     if (!this.isTurned || !this.isInControl || !this.view.current) return;
     this.isTurned = false;
@@ -231,7 +231,7 @@ export class Player {
     this.#showControl();
   }
 
-  /** Sees what another one does, or the server wants. @param {Seen} camera */
+  /** Uses the camera of another browser or of the server. @param {Seen} camera */
   #follow(camera) {
     if (!camera) return;
     const isOwn = camera.by === this.now.you?.id && camera.serial === this.serial;
@@ -247,7 +247,7 @@ export class Player {
     this.view.wake();
   }
 
-  /** What is followed has moved, and the camera with it. @param {number[] | null} before @param {number[] | null} now */
+  /** Moves the camera with the followed frame. @param {number[] | null} before @param {number[] | null} now */
   #shift(before, now) {
     if (!before || !now || !this.view.current || this.stage.fixed >= 0) return;
     this.stage.shift(now.map((each, k) => each - before[k]));
@@ -261,7 +261,7 @@ export class Player {
     return this.view.wake();
   }
 
-  /** What keys do for those who only see. @param {string} name */
+  /** Performs keys that work without control. @param {string} name */
   #localKey(name) {
     if (!/^\d$/.test(name) || !this.view.current) return false;
     this.#chooseCamera(Number(name) - 1);
@@ -274,7 +274,7 @@ export class Player {
     this.#act({ t: "card", kind, item, ...at, shift: event.shiftKey || event.ctrlKey });
   }
 
-  /** Who is in control, where there are several. */
+  /** Shows which browser is in control, if there are several. */
   #showControl() {
     const { control, you } = this.now, { isInControl } = this;
     document.body.classList.toggle("watching", Boolean(you && control && !isInControl));
@@ -314,11 +314,11 @@ export class Player {
 
   #takeControl() { this.transport.send(JSON.stringify({ t: "control" })); }
 
-  isNew = true; // whether this connection does not know yet who is in control
+  isNew = true; // whether it is still unknown which browser is in control
   wasInControl = false;
-  hasAsked = false; // for the view of a link
+  hasAsked = false; // whether the view of a link was requested
 
-  /** What the pointer does. */
+  /** Sets the shape of the pointer. */
   #showHand() {
     const { dragging, onHandle } = this.now, canvas = this.view.renderer.domElement;
     canvas.style.cursor = dragging ? "grabbing" : onHandle ? "grab" : "";

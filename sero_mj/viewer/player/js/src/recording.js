@@ -1,4 +1,4 @@
-/** The transport of a recorded run: it sends the player the sections that a server sends of a live run. */
+/** The transport of a recorded run, which sends the player the same sections as a server of a live run. */
 
 import { addStraight } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
@@ -48,7 +48,7 @@ export class Recording {
     this.cards = new JointCards(run);
     this.geoms = new Geoms();
     this.sites = null;
-    this.quantity = 0; // of `run.arrows.quantities`
+    this.quantity = 0; // index in `run.arrows.quantities`
     this.isPlotted = run.frames > 1 && run.joints.length > 0;
     this.isHelping = false;
     this.width = 0; // of the page, pixels
@@ -75,7 +75,7 @@ export class Recording {
     this.noteControl = () => {};
   }
 
-  /** Begins. */
+  /** Starts the run. */
   open() {
     const { run } = this;
     this.onopen();
@@ -268,7 +268,7 @@ export class Recording {
     };
   }
 
-  /** Texts in the corner: notes and legend. */
+  /** Text in the corner: notes and legend. */
   #notes() {
     const { run, switches, clock: { frame } } = this, line = run.arrows.quantities[this.quantity]?.line ?? "";
     const noted = run.notes.texts[run.notes.at[frame]], meant = run.legend.texts[run.legend.at[frame]];

@@ -1,4 +1,4 @@
-/** The model: one geometry for all that is opaque, one for doubles; bodies' poses in a texture. */
+/** The model: one geometry for opaque parts, one for doubles; poses of bodies are in a texture. */
 
 import * as THREE from "three";
 import { mixer } from "./data.js";
@@ -10,16 +10,16 @@ import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, metallicOf,
 /** @typedef {import("./data.js").Geom} Geom */
 
 const ONE = new THREE.Vector3(1, 1, 1);
-const FAINT = 0.3; // opacity of surfaces that one sees through, as in MuJoCo
-const TEXELS = 5; // of a body: its pose, and opacity and greyness
+const FAINT = 0.3; // opacity of surfaces in the transparent mode, as in MuJoCo
+const TEXELS = 5; // texels of a body: pose, opacity and grayness
 
-/** A pose as a matrix. @param {number[]} pos @param {number[]} quat w first */
+/** Returns a pose as a matrix. @param {number[]} pos @param {number[]} quat w first */
 export function matrixOf(pos, quat) {
   const turn = new THREE.Quaternion(quat[1], quat[2], quat[3], quat[0]);
   return new THREE.Matrix4().compose(new THREE.Vector3(pos[0], pos[1], pos[2]), turn, ONE);
 }
 
-/** The shape of a geom, in its own frame. @param {Geom} geom @param {Run} run */
+/** Returns the shape of a geom, in the frame of the geom. @param {Geom} geom @param {Run} run */
 function shapeOf(geom, run) {
   const [a, b, c] = geom.size;
   switch (geom.type) {
@@ -38,12 +38,12 @@ function shapeOf(geom, run) {
   }
 }
 
-/** The opacity of doubles is that with which MuJoCo blends them, twice. @param {number[]} rgba */
+/** Returns the opacity of a double, which MuJoCo blends twice. @param {number[]} rgba */
 const blendedTwice = ([r, g, b, a]) => [r, g, b, Math.round(255 * (1 - (1 - a / 255) ** 2))];
 
 /**
- * Geoms as one geometry, in the frames of their bodies, with a group for each part of them.
- * @param {Geom[][]} parts @param {Run} run @param {number} texture that all of them have; -1 for none
+ * Joins geoms into one geometry, in the frames of the bodies, with a group for each part.
+ * @param {Geom[][]} parts @param {Run} run @param {number} texture of all geoms; -1 for none
  */
 function merged(parts, run, texture) {
   const geoms = parts.flat();
@@ -119,12 +119,12 @@ export class Robots {
     this.solid = solid;
     this.depth = depth;
     this.ghosts = ghosts;
-    // A mesh more for each texture.
+    // One more mesh for each texture.
     this.textured = this.pictures.flatMap((_, k) => this.#meshes(k, isGhost));
   }
 
   /**
-   * The meshes of all geoms with a texture: of opaque ones, and of the others depth and colour.
+   * Returns the meshes of all geoms with a texture: for opaque geoms, and depth and color for others.
    * @param {number} texture -1 for none @param {(geom: Geom) => boolean} isGhost
    */
   #meshes(texture, isGhost) {
@@ -137,7 +137,7 @@ export class Robots {
     const solid = this.#mesh(merged(parts, this.run, texture), looks);
     solid.castShadow = solid.receiveShadow = true;
     this.surfaces.push(looks);
-    // Depth first, then colour where it is nearest, so that no inside shines through.
+    // Depth first, then the color of the nearest surface, so that no inner surface is visible.
     const shape = merged([ghosts], this.run, texture);
     const depth = this.#mesh(shape, this.#material({ colorWrite: false }, true, texture));
     const colour = this.#mesh(shape, this.#material({ transparent: true, depthWrite: false }, true, texture));
@@ -149,7 +149,7 @@ export class Robots {
   }
 
   /**
-   * Lets a shader place vertices by the poses of their bodies.
+   * Makes a shader place vertices by the poses of the bodies.
    * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {boolean} isBehind
    */
   #pose(shader, isBehind) {
@@ -200,7 +200,7 @@ export class Robots {
     return mesh;
   }
 
-  /** Places the bodies. @param {number} at frame, with a fraction @param {boolean} hasDoubles */
+  /** Updates the bodies. @param {number} at frame, with a fraction @param {boolean} hasDoubles */
   place(at, hasDoubles) {
     const { run, texels } = this, { frames } = run;
     const before = Math.floor(at), mix = mixer(at, frames);
@@ -218,7 +218,7 @@ export class Robots {
   }
 
   /**
-   * Lets one see through what moves, or only the edges of everything.
+   * Makes moving bodies transparent, or shows only the edges of all bodies.
    * @param {{transparent?: boolean, wireframe?: boolean}} how
    */
   shade({ transparent = false, wireframe = false }) {
@@ -231,14 +231,14 @@ export class Robots {
     }
   }
 
-  /** Frees textures and what a mirror draws on. */
+  /** Frees textures and the render target of a mirror. */
   dispose() {
     for (const each of [this.texture, ...this.pictures]) each.dispose();
     this.mirror?.target.dispose();
   }
 
   /**
-   * Draws what is seen in a plane that reflects, if there is one.
+   * Draws the reflection in the reflecting plane, if there is one.
    * @param {THREE.WebGLRenderer} renderer @param {THREE.Scene} scene
    * @param {THREE.PerspectiveCamera} camera @param {boolean} isOn
    */
@@ -248,14 +248,14 @@ export class Robots {
     mirror.uniforms.isMirror.value = 0;
     if (!isOn) return;
     const pose = this.matrices[geom.body].clone().multiply(matrixOf(geom.pos, geom.quat));
-    // What is transparent, as the back of the plane is, is not seen in it.
+    // Transparent parts, such as the back of the plane, are not reflected.
     const faint = this.group.children.filter((each) => each.visible && each.renderOrder > 0);
     for (const each of faint) each.visible = false;
     mirror.draw(renderer, scene, camera, pose);
     for (const each of faint) each.visible = true;
   }
 
-  /** The nearest geom on a ray, with the point there. @param {THREE.Ray} ray */
+  /** Returns the nearest geom on a ray, and the point of intersection. @param {THREE.Ray} ray */
   pick(ray) {
     const own = new THREE.Ray(), pose = new THREE.Matrix4(), point = new THREE.Vector3();
     const [a, b, c] = [new THREE.Vector3(), new THREE.Vector3(), new THREE.Vector3()];

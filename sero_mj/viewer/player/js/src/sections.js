@@ -1,5 +1,5 @@
 /**
- * Messages of a live page: sections of a state of which the latest counts.
+ * Messages of a live page: sections of a state. The latest value of each section is valid.
  *
  *     u32 n (little endian) | n bytes of a JSON head | payloads, each from a multiple of 4 on
  *     head = {"json": {name: value}, "bytes": [[name, length]]}
@@ -10,9 +10,9 @@
 const MOST_SECTIONS = 256;
 
 /**
- * Reads a message; payloads are views into it.
+ * Parses a message. The payloads are views of the message.
  * @param {ArrayBuffer} message @returns {Sections}
- * @throws {Error} if it is none
+ * @throws {Error} if the message is invalid
  */
 export function readSections(message) {
   if (message.byteLength < 4) throw new Error(`found a message of ${message.byteLength} bytes`);
@@ -45,9 +45,9 @@ const isTable = (value) => typeof value === "object" && value !== null && !Array
 const aligned = (at) => (at + 3) & ~3;
 
 /**
- * Copies a payload into numbers that have its size.
+ * Copies a payload into an array of the same size.
  * @param {Uint8Array} bytes @param {ArrayBufferView} to @returns {true}
- * @throws {Error} if they have another size
+ * @throws {Error} if the array has another size
  */
 export function fill(bytes, to) {
   if (bytes.length !== to.byteLength) throw new Error(`found ${bytes.length} bytes, expected ${to.byteLength}`);
@@ -71,7 +71,7 @@ export class Reader {
     this.at = end;
   }
 
-  /** A number of what follows; at least so many bytes are to follow for each. @param {number} each */
+  /** Reads the count of following elements, which have at least `each` bytes. @param {number} each */
   count(each) {
     const number = new Uint32Array(1);
     this.take(number);

@@ -1,7 +1,7 @@
-/** How surfaces look in the light of the surroundings: as in Filament's pictures, computed with light. */
+/** Shades surfaces in the light of the surroundings, in linear colors as Filament does. */
 
 /**
- * The light around a scene, for shaders: of the sky as Python's `SkyLight` has it.
+ * The light of the sky for shaders, as computed by `SkyLight` in Python.
  * @typedef {{fill: {value: import("three").Vector3}, reflections: {value: import("three").Texture}}} SkyUniforms
  */
 
@@ -55,7 +55,7 @@ const LIGHT = `
 `;
 
 /**
- * Lets a Phong shader compute with light.
+ * Makes a Phong shader compute in linear colors.
  * @param {import("three").WebGLProgramParametersWithUniforms} shader @param {SkyUniforms} uniforms
  * @param {string} surface GLSL, a `Surface`
  */

@@ -1,4 +1,4 @@
-/** What is soft: skins, which bones move; flexes and tendons, whose places are in the run. */
+/** Soft parts: skins, which bones move, and flexes and tendons, whose positions are in the run. */
 
 import * as THREE from "three";
 import { mixer } from "./data.js";
@@ -14,7 +14,7 @@ import { Tubes } from "./tubes.js";
 const at = (of, k) => new THREE.Vector3(of[3 * k], of[3 * k + 1], of[3 * k + 2]);
 
 /**
- * A mesh whose vertices move.
+ * Returns a mesh whose vertices move.
  * @param {number} count of the vertices @param {ArrayLike<number>} triangles
  * @param {THREE.Material} material @param {Float32Array} [uv]
  */
@@ -35,7 +35,7 @@ function inflate(shape, far) {
   for (let i = 0; i < position.array.length; i++) position.array[i] += far * normal.array[i];
 }
 
-/** A skin: its vertices are weighted means of where its bones would carry them. */
+/** A skin, whose vertices are weighted means of the positions in the frames of the bones. */
 class MovedSkin {
   /** @param {Run} run @param {Sky} sky @param {Skin} skin @param {THREE.Texture[]} textures */
   constructor(run, sky, skin, textures) {
@@ -43,7 +43,7 @@ class MovedSkin {
     const count = skin.positions.length / 3;
     this.mesh = meshOf(count, skin.triangles, materialOf(run, sky, skin, textures),
       repeated(run, skin));
-    // From the world at first to the bones.
+    // Transforms from the world in the bind pose to the bones.
     this.bind = skin.bones.map(({ pos, quat: [w, x, y, z] }) => new THREE.Matrix4().compose(
       new THREE.Vector3().fromArray(pos), new THREE.Quaternion(x, y, z, w),
       new THREE.Vector3(1, 1, 1)).invert());
@@ -84,7 +84,7 @@ class MovedFlex {
       this.mesh = this.tubes.mesh;
       return;
     }
-    /** The other side of a cloth has vertices of its own. */
+    /** The other side of a cloth has separate vertices. */
     const sides = [...triangles];
     if (dim === 2) {
       for (let k = 0; k < triangles.length; k += 3) {
@@ -98,7 +98,7 @@ class MovedFlex {
     const own = repeated(run, flex);
     const uv = own && new Float32Array([...own, ...(dim === 2 ? own : [])]);
     this.mesh = meshOf(count * (dim === 2 ? 2 : 1), sides, material, uv);
-    // The normals of a cloth are those of one side, without its seam.
+    // The normals of a cloth are computed on one side, without the seam.
     this.sheet = meshOf(count, triangles, material).geometry;
   }
 
@@ -130,7 +130,7 @@ class MovedFlex {
   }
 }
 
-/** All of it. */
+/** All soft parts of a run. */
 export class SoftParts {
   /** @param {Run} run @param {Sky} sky null where other lights shine */
   constructor(run, sky) {
@@ -148,7 +148,7 @@ export class SoftParts {
     this.group.add(this.tendons.mesh);
   }
 
-  /** Places it. @param {number} time frame, with a fraction @param {THREE.Matrix4[]} bodies */
+  /** Updates the soft parts. @param {number} time frame, with a fraction @param {THREE.Matrix4[]} bodies */
   place(time, bodies) {
     const { soft, tendons, frames } = this.run;
     const before = Math.floor(time), mix = mixer(time, frames);

@@ -16,9 +16,9 @@ import { BACKDROP, Surroundings } from "./surroundings.js";
 
 const SLOW = 60; // ms per frame, above which shadows are omitted, then the doubles' depth
 
-/** What draws on a canvas; raises an error without WebGL 2. @param {HTMLCanvasElement} canvas */
+/** Returns the renderer of a canvas; throws an error without WebGL 2. @param {HTMLCanvasElement} canvas */
 export function rendererOf(canvas) {
-  // MuJoCo's classic renderer computes with colours as they are displayed.
+  // MuJoCo's classic renderer computes with displayed colors, not linear ones.
   THREE.ColorManagement.enabled = false;
   const renderer = new THREE.WebGLRenderer({ canvas, antialias: true, alpha: true });
   renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
@@ -27,7 +27,7 @@ export function rendererOf(canvas) {
   return renderer;
 }
 
-/** Everything that WebGL draws. */
+/** The scene that WebGL draws. */
 export class Stage {
   /** @param {Run} run @param {THREE.WebGLRenderer} renderer */
   constructor(run, renderer) {
@@ -42,7 +42,7 @@ export class Stage {
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.mouseButtons.MIDDLE = THREE.MOUSE.PAN;
     this.fixed = -1;
-    /** By how far the camera has moved with what it follows, m. */
+    /** Displacement of the camera with the followed frame, m. */
     this.followed = [0, 0, 0];
     this.surroundings = new Surroundings(run);
     const sky = run.lights ? null : this.surroundings.uniforms;
@@ -51,7 +51,7 @@ export class Stage {
     this.items = new Items();
     this.soft = new SoftParts(run, sky);
     this.lamps = run.lights && new Lamps(run.lights, this.scene, this.camera, 0.6 * run.eye.distance);
-    /** What casts shadows. */
+    /** Objects that cast shadows. */
     this.sun = this.lamps ? this.lamps.sun : this.surroundings.sun;
     this.sites = run.joints.map(() => new THREE.Matrix4());
     this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
@@ -63,7 +63,7 @@ export class Stage {
     this.chooseCamera(run.eye.fixed);
   }
 
-  /** Sees with a camera of the scene, or -1 for its view. @param {number} number */
+  /** Uses a camera of the scene, or with -1 the initial view. @param {number} number */
   chooseCamera(number) {
     const { eye, cameras } = this.run;
     this.fixed = number < cameras.length ? number : -1;
@@ -73,10 +73,10 @@ export class Stage {
     this.look(eye);
   }
 
-  /** By how much farther away the camera stands than is said. */
+  /** Factor of the camera's distance in narrow images. */
   get back() { return standingBack(this.run.eye.aspect, this.size.width, this.size.height); }
 
-  /** Sees as a free camera does. @param {import("./eye.js").View} view with the distance of wide pictures */
+  /** Uses a free camera. @param {import("./eye.js").View} view with the distance for wide images */
   look(view) {
     this.fixed = -1;
     this.camera.fov = this.run.eye.fovy;
@@ -86,7 +86,7 @@ export class Stage {
     this.orbit.update();
   }
 
-  /** Moves the free camera with what it follows. @param {number[]} way m */
+  /** Moves the free camera with the followed frame. @param {number[]} way m */
   shift(way) {
     this.followed = this.followed.map((each, k) => each + way[k]);
     const moved = new THREE.Vector3().fromArray(way);
@@ -95,7 +95,7 @@ export class Stage {
     this.orbit.update();
   }
 
-  /** Follows what the file says; the user turns the camera all the same. @param {number} at frame */
+  /** Follows the path of the camera in the file. The user can still rotate the camera. @param {number} at frame */
   #follow(at) {
     const { follow, frames } = this.run;
     if (!follow) return;
@@ -104,13 +104,13 @@ export class Stage {
     else this.followed = now;
   }
 
-  /** What the free camera sees, with the distance of wide pictures. */
+  /** View of the free camera, with the distance for wide images. */
   get view() {
     const view = viewFrom(this.camera.position.toArray(), this.orbit.target.toArray());
     return { ...view, distance: view.distance / this.back };
   }
 
-  /** Lets the user turn what a camera of the scene has seen until now. */
+  /** Replaces a camera of the scene by a free camera with the same view, which the user can rotate. */
   free() {
     if (this.fixed < 0) return;
     this.fixed = -1;
@@ -135,12 +135,12 @@ export class Stage {
   setLook(look) { this.surroundings.setLook(look); }
 
   /**
-   * Places everything.
+   * Updates all parts of the scene.
    * @param {number} at frame, with a fraction @param {boolean} hasDoubles
    * @param {(joint: number) => boolean} hasArrow
    * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms
-   *   of decor, where joints are there
-   * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] where joints are, in the world
+   *   returns decor from the poses of the joints
+   * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] poses of joints in the world
    */
   place(at, hasDoubles, hasArrow, geoms, sites = null) {
     const { run, robots } = this;
@@ -168,7 +168,7 @@ export class Stage {
     this.surroundings.place(this.camera, this.followed, robots.matrices);
   }
 
-  /** Draws. @returns {number} draw calls */
+  /** Draws the scene. @returns {number} draw calls */
   draw() {
     this.robots.reflect(this.renderer, this.scene, this.camera, this.hasShadows);
     this.renderer.render(this.scene, this.camera);
@@ -177,7 +177,7 @@ export class Stage {
 
   /**
    * Omits expensive effects if frames take long.
-   * @param {number} spent ms since the last frame, while frames follow each other
+   * @param {number} spent ms since the last frame, while frames are drawn continuously
    */
   notePace(spent) {
     this.spent += 0.1 * (Math.min(spent, 500) - this.spent);
@@ -187,16 +187,16 @@ export class Stage {
     else this.robots.depth.visible = false;
   }
 
-  /** The centre of a joint, m. @param {number} joint */
+  /** Returns the center of a joint, m. @param {number} joint */
   centre(joint) { return new THREE.Vector3().setFromMatrixPosition(this.sites[joint]); }
 
-  /** Pixel of a place, y down, and whether it is in front. @param {THREE.Vector3} place */
+  /** Returns the pixel of a point, y down, and whether the point is in front of the camera. @param {THREE.Vector3} place */
   pixel(place) {
     const { x, y, z } = place.clone().project(this.camera), { width, height } = this.size;
     return { x: (x + 1) / 2 * width, y: (1 - y) / 2 * height, isSeen: z < 1 };
   }
 
-  /** What is at a pixel, y down. @param {number} x @param {number} y */
+  /** Returns the item at a pixel, y down. @param {number} x @param {number} y */
   pick(x, y) {
     const { width, height } = this.size, ray = new THREE.Raycaster();
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
@@ -211,7 +211,7 @@ export class Stage {
     return { body: body.name, joint: body.joint };
   }
 
-  /** The joint whose round arrow is at a pixel: one whose ring passes within some pixels; else -1. */
+  /** Returns the joint whose round arrow passes within some pixels of a pixel, or -1. */
   #arrow(/** @type {number} */ x, /** @type {number} */ y) {
     const place = new THREE.Vector3();
     for (const [k, j] of this.arrows.joints.entries()) {
@@ -229,14 +229,14 @@ export class Stage {
     return -1;
   }
 
-  /** Whether nothing of the robots is before a place. @param {THREE.Vector3} place */
+  /** Returns whether no robot covers a point. @param {THREE.Vector3} place */
   #isFree(place) {
     const from = this.camera.position, way = place.clone().sub(from), far = way.length();
     const hit = this.robots.pick(new THREE.Ray(from.clone(), way.normalize()));
     return !hit || hit.distance > far - 0.01;
   }
 
-  /** Frees what it has on the graphics card; the renderer stays. */
+  /** Frees the resources on the graphics card, except the renderer. */
   dispose() {
     this.orbit.dispose();
     this.robots.dispose();

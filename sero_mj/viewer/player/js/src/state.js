@@ -9,14 +9,14 @@ import { Reader, fill } from "./sections.js";
 /** @typedef {{kind: number, item: number, at: number[], lines: [string, string][], title: string,
  *   share: number | null, sign: "" | "positive" | "negative", stale: boolean, always: boolean}} SentCard */
 
-const TURN = 1 / 16384; // of a component of a unit quaternion
+const TURN = 1 / 16384; // resolution of a component of a unit quaternion
 const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4;
 
 /** The state. */
 export class State {
   /**
-   * @param {Uint8Array} bytes of the section `run` @param {string[]} [keys] of the values
-   * @throws {Error} if they are none
+   * @param {Uint8Array} bytes of the section `run` @param {string[]} [keys] names of the values
+   * @throws {Error} if the bytes are invalid
    */
   constructor(bytes, keys = []) {
     const run = this.run = decode(bytes.slice().buffer);
@@ -47,9 +47,9 @@ export class State {
   }
 
   /**
-   * Takes a section of bytes.
+   * Applies a section of bytes.
    * @param {string} name @param {Uint8Array} bytes
-   * @returns {boolean} whether it is one of the state @throws {Error} if it does not fit
+   * @returns {boolean} whether the section is part of the state @throws {Error} if it does not fit
    */
   take(name, bytes) {
     const { run } = this;
@@ -69,7 +69,7 @@ export class State {
   }
 
   /**
-   * Takes a section of JSON.
+   * Applies a section of JSON.
    * @param {string} name @param {any} value @returns {boolean} whether it is one of the state
    */
   takeJson(name, value) {
@@ -130,7 +130,7 @@ export class State {
 }
 
 /**
- * Billboards as sent by the server; their keys are kind and item.
+ * Returns the billboards that the server has sent, with kind and item as keys.
  * @param {SentCard[]} cards @param {number} selected joint; -1 for none @returns {import("./cards.js").Content[]}
  */
 function contentsOf(cards, selected) {

@@ -1,4 +1,4 @@
-/** What surfaces look like: materials, textures, and the places in these, by MuJoCo's rules. */
+/** Materials, textures and texture coordinates, by MuJoCo's rules. */
 
 import * as THREE from "three";
 import { shade } from "./shading.js";
@@ -9,10 +9,10 @@ import { shade } from "./shading.js";
 
 const PLANE = 0, SPHERE = 2, CAPSULE = 3, CYLINDER = 5, BOX = 6; // mjtGeom
 export const MESH = 7;
-const PLAIN = [0, 0.5, 0.5, 0]; // finish of what has no material
+const PLAIN = [0, 0.5, 0.5, 0]; // finish of geoms without a material
 const UP = Math.PI / 2;
 
-/** The textures of a run. @param {Run} run @returns {THREE.Texture[]} */
+/** Returns the textures of a run. @param {Run} run @returns {THREE.Texture[]} */
 export function texturesOf(run) {
   return run.textures.map(({ cube, width, height, pixels }) => {
     const size = 4 * width * height;
@@ -31,13 +31,13 @@ export function texturesOf(run) {
   });
 }
 
-/** The number of a geom's texture; -1 for none. @param {Run} run @param {{material?: number}} of */
+/** Returns the index of a geom's texture, or -1. @param {Run} run @param {{material?: number}} of */
 export const textureOf = (run, { material }) =>
   material === undefined ? -1 : run.materials[material].texture;
 
 /**
- * Emission, specular and shininess of 0 to 255, and nothing; in the light of the sky roughness in
- * place of shininess.
+ * Returns emission, specular and shininess, 0 to 255, and 0. In the light of the sky, roughness
+ * replaces shininess.
  * @param {Run} run @param {{material?: number}} of
  */
 export function finishOf(run, { material }) {
@@ -48,27 +48,27 @@ export function finishOf(run, { material }) {
   return [emission, roughness >= 0 ? 0.5 : specular, smooth, 0].map((each) => Math.round(255 * Math.min(each, 1)));
 }
 
-/** How rough a surface is for a shininess, both 0 to 1; as `finish` of Filament in Python. */
+/** Returns the roughness for a shininess, both 0 to 1, as `finish` for Filament in Python. */
 const roughnessOf = (/** @type {number} */ shininess) => (2 / (128 * Math.max(shininess, 0) + 2)) ** 0.25;
 
-/** How much a geom is of metal, 0 to 255. @param {Run} run @param {{material?: number}} of */
+/** Returns the metallic value of a geom, 0 to 255. @param {Run} run @param {{material?: number}} of */
 export const metallicOf = (run, { material }) =>
   material === undefined ? 0 : Math.round(255 * (run.materials[material].metallic ?? 0));
 
-/** Half the extents of a geom, as MuJoCo scales its shapes. @param {Geom} geom */
+/** Returns half the extents of a geom, by which MuJoCo scales the shape. @param {Geom} geom */
 export function extentsOf({ type, size: [a, b, c] }) {
   if (type === SPHERE) return [a, a, a];
   return type === CAPSULE || type === CYLINDER ? [a, a, b] : [a, b, c];
 }
 
-/** How often a texture is on a geom, along u and v. @param {Run} run @param {Geom} geom */
+/** Returns how often a texture is repeated on a geom, along u and v. @param {Run} run @param {Geom} geom */
 function timesOf(run, geom) {
   const { repeat, uniform } = run.materials[geom.material ?? 0], extents = extentsOf(geom);
   return [0, 1].map((k) => (repeat[k] > 0 ? repeat[k] : 1) * (uniform && extents[k] > 0 ? extents[k] : 1));
 }
 
 /**
- * The places of a shape's vertices in its texture: (u, v, 0), or of a cube a direction.
+ * Returns the texture coordinates of a shape's vertices: (u, v, 0), or a direction for a cube map.
  * @param {Run} run @param {Geom} geom @param {THREE.BufferGeometry} shape in the geom's frame,
  * from `shapeOf`
  */
@@ -111,23 +111,23 @@ function direction(run, geom, { attributes: { position } }, i) {
   return unit.map((each, k) => uniform ? each * extents[k] : each);
 }
 
-/** How many sides a round shape of a radius has, m: more where one would see its edges. */
+/** Returns the number of sides of a round shape with a radius in m; large shapes have more. */
 const sides = (/** @type {number} */ radius) =>
   Math.round(28 * Math.min(Math.max(Math.sqrt(radius / 0.14), 1), 2.5));
 
 /**
- * A ball of radius 1 about z, or a part of it. @param {number} radius that it will be drawn with
- * @param {number} share of all rows that it has @param {number[]} part
+ * Returns a sphere of radius 1 about z, or a part of it. @param {number} radius when drawn, m
+ * @param {number} share fraction of the rows of the sphere @param {number[]} part
  */
 export const ball = (radius, share = 1, ...part) =>
   new THREE.SphereGeometry(1, sides(radius), Math.round(sides(radius) * 0.58 * share), 0,
     2 * Math.PI, ...part).rotateX(UP).rotateZ(2 * UP);
 
-/** A cylinder about z. @param {number} a radius @param {number} b half its length @param {boolean} isOpen */
+/** Returns a cylinder about z. @param {number} a radius @param {number} b half its length @param {boolean} isOpen */
 export const cylinder = (a, b, isOpen = false) =>
   new THREE.CylinderGeometry(a, a, 2 * b, sides(a), 1, isOpen).rotateX(UP).rotateZ(UP);
 
-/** A capsule about z. @param {number} a radius @param {number} b half the length between its ends */
+/** Returns a capsule about z. @param {number} a radius @param {number} b half the length between its ends */
 export function capsule(a, b) {
   const ends = [ball(a, 0.5, 0, UP), ball(a, 0.5, UP, UP)].map((each, k) =>
     each.scale(a, a, a).translate(0, 0, k ? -b : b));
@@ -140,32 +140,32 @@ export function capsule(a, b) {
   return whole.setIndex([...Array(whole.attributes.position.count).keys()]);
 }
 
-/** A plane, also one without an end. @param {Geom} geom @param {Run} run */
+/** Returns a plane, which may be infinite. @param {Geom} geom @param {Run} run */
 export function planeOf({ size: [a, b], isBack }, { reach }) {
-  const far = 4 * (reach ?? 0); // cut off where the camera sees no farther
+  const far = 4 * (reach ?? 0); // an infinite plane ends beyond the view of the camera
   const shape = new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
   return isBack ? shape.rotateX(Math.PI) : shape;
 }
 
-/** The back of a plane, through which one sees. @param {Geom} plane @returns {Geom} */
+/** Returns the back of a plane, which is transparent. @param {Geom} plane @returns {Geom} */
 export const backOf = (plane) =>
   ({ ...plane, isBack: true, rgba: plane.rgba.map((each, k) => k < 3 ? each : Math.round(0.3 * each)) });
 
 /**
- * How a specular highlight is: its power for a shininess of 1, and strength over power + 2 for a
- * specular of 1. That of a model's own lights is as in OpenGL.
+ * Returns the parameters of specular highlights: exponent for a shininess of 1, and the strength
+ * divided by exponent + 2 for a specular of 1. Highlights of a model's lights are as in OpenGL.
  * @param {Run} run
  */
 const glossOf = ({ lights }) => lights ? { power: 128, strength: 8 * lights.gloss }
   : { power: 80, strength: 16 };
 
-/** Whether a geom is a plane. @param {Geom} geom */
+/** Returns whether a geom is a plane. @param {Geom} geom */
 export const isPlane = ({ type }) => type === PLANE;
 
 /**
- * Lets a Phong shader have the finish of every vertex, and a texture.
+ * Adds the finish of each vertex and a texture to a Phong shader.
  * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {Run} run
- * @param {SkyUniforms | null} sky null where other lights shine
+ * @param {SkyUniforms | null} sky null for scenes with other lights
  * @param {THREE.Texture | null} texture @param {boolean} isCube
  * @param {import("./mirror.js").Mirror | null} mirror
  */
@@ -192,7 +192,7 @@ export function finish(shader, run, sky, texture, isCube, mirror) {
 }
 
 /**
- * Lets a shader show what is seen in a plane.
+ * Makes a shader show the reflection in a plane.
  * @param {THREE.WebGLProgramParametersWithUniforms} shader
  * @param {import("./mirror.js").Mirror} mirror
  */
@@ -209,7 +209,7 @@ function reflect(shader, { uniforms }) {
 }
 
 /**
- * A material for what is no geom.
+ * Returns a material for a skin, flex or tendon.
  * @param {Run} run @param {SkyUniforms | null} sky @param {import("./data.js").Soft} of @param {THREE.Texture[]} textures
  * @param {object} [more]
  */
@@ -231,7 +231,7 @@ export function materialOf(run, sky, of, textures, more = {}) {
   return material;
 }
 
-/** Places in a texture that is repeated. @param {Run} run @param {import("./data.js").Soft} of */
+/** Returns the coordinates in a repeated texture. @param {Run} run @param {import("./data.js").Soft} of */
 export function repeated(run, { uv, material }) {
   if (!uv || material === undefined) return uv;
   const { repeat } = run.materials[material];

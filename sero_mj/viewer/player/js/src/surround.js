@@ -7,7 +7,7 @@ import { Tree } from "./panels.js";
 /** @typedef {[text: string, mood: string]} Piece */
 /** @typedef {(message: object) => void} Send */
 
-/** A tree in an element that is there while the tree is. */
+/** A tree in an element that is shown while the tree exists. */
 class Room {
   /** @param {HTMLElement} element @param {string} name of the tree @param {Send} send */
   constructor(element, name, send) {
@@ -25,7 +25,7 @@ class Room {
 /** A dialog that the server opens and closes. */
 class Dialog {
   /**
-   * @param {string} id of the dialog @param {string} room of its tree
+   * @param {string} id of the dialog @param {string} room of the tree
    * @param {string} name of the tree @param {Send} send @param {string} key that closes it
    */
   constructor(id, room, name, send, key) {
@@ -90,7 +90,7 @@ class Areas {
   }
 }
 
-/** All of it. */
+/** The whole user interface around the image. */
 export class Surround {
   /** @param {Send} send */
   constructor(send) {
@@ -105,7 +105,7 @@ export class Surround {
 
   /**
    * Shows a section.
-   * @param {string} name @param {any} value @returns {boolean} whether it is one of these
+   * @param {string} name @param {any} value @returns {boolean} whether the section belongs to the user interface
    */
   take(name, value) {
     switch (name) {
@@ -154,7 +154,7 @@ export class Surround {
     return true;
   }
 
-  /** What was clicked on. @param {{name: string, rows: [string, string][]} | null} details */
+  /** Shows the clicked item. @param {{name: string, rows: [string, string][]} | null} details */
   #details(details) {
     const box = byId("details");
     box.hidden = !details;

@@ -1,4 +1,4 @@
-/** What is around a scene, as its file declares it for both looks: sky, floor, haze, and light. */
+/** The surroundings of a scene, as declared for both looks: sky, floor, haze and light. */
 
 import * as THREE from "three";
 import { Occlusion } from "./occlusion.js";
@@ -9,10 +9,10 @@ import { shade } from "./shading.js";
 
 export const BACKDROP = 1; // layer of the sky, which planes do not reflect
 const SOFTNESS = 0.1; // m, half the width of a shadow's edge for a lamp with a radius of 1 m
-const MOST_BLUR = 4; // texels, beyond which the edge becomes grainy
+const MOST_BLUR = 4; // texels; with more blur, the edge becomes grainy
 
-// The five places at which three looks up shadows, which it computes anew and turns for every pixel:
-// without that, pictures take a tenth less time in software, and edges have no grain.
+// The five points at which three.js samples shadows. By default, three.js computes and rotates them
+// for every pixel. Constant points save a tenth of the time in software, and edges have no grain.
 const chunks = THREE.ShaderChunk, disk = /vec2 vogelDiskSample\([^{]*{[^}]*}/;
 chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(disk,
   `const vec2 DISK[5] = vec2[5](vec2(0.3162, 0.0000), vec2(-0.4039, 0.3700), vec2(0.0618, -0.7044), vec2(0.5091, 0.6640), vec2(-0.9342, -0.1652));
@@ -21,7 +21,7 @@ chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(disk,
 /** @param {number[]} rgb */
 const vector = (rgb) => new THREE.Vector3().fromArray(rgb);
 
-/** Colours as they are shown as light. @param {number[]} rgb */
+/** Converts displayed colors to linear light. @param {number[]} rgb */
 function lightOf([r, g, b]) {
   const { r: x, g: y, b: z } = new THREE.Color(r, g, b).convertSRGBToLinear();
   return new THREE.Vector3(x, y, z);
@@ -35,7 +35,7 @@ const SKY = `
     gl_FragColor = vec4(mix(rgb, haze, clamp(-up / edge, 0., 1.)), 1.);
   }`;
 
-// The colour of a checker with lines round every two tiles. Source of the filter: Quilez, Filtering
+// The color of a checker with lines around every two tiles. Source of the filter: Quilez, Filtering
 // the checkerboard pattern, 2017.
 const TILES = `
   vec3 tiled(vec2 at) {
@@ -45,12 +45,12 @@ const TILES = `
     return mix(mix(tiles[0], tiles[1], .5 + .5 * odd.x * odd.y), tiles[2], max(line.x, line.y));
   }`;
 
-/** Sky, floor and the light that comes from them. */
+/** Sky, floor, and the light from both. */
 export class Surroundings {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    /** Half the side of what has shadows, m. */
+    /** Half the side of the area with shadows, m. */
     this.reach = 0.6 * run.eye.distance;
     const { looks, floor } = run.surroundings;
     const { reflections: levels } = looks.light;
@@ -88,7 +88,7 @@ export class Surroundings {
     }));
     sky.layers.set(BACKDROP);
     sky.frustumCulled = false;
-    sky.renderOrder = 0.5; // after what hides it, before what one sees through
+    sky.renderOrder = 0.5; // after opaque parts, before transparent ones
     return sky;
   }
 
@@ -157,8 +157,8 @@ export class Surroundings {
   }
 
   /**
-   * Places them round what the camera sees.
-   * @param {THREE.Camera} camera @param {number[]} moved with what it follows, m
+   * Moves sky and floor to the view of the camera.
+   * @param {THREE.Camera} camera @param {number[]} moved with the followed frame, m
    * @param {THREE.Matrix4[]} matrices poses of bodies
    */
   place(camera, moved, matrices) {
@@ -170,7 +170,7 @@ export class Surroundings {
     this.uniforms.edge.value = z > floor.position.z ? (z - floor.position.z) / this.far : 1e9;
   }
 
-  /** Frees its textures. */
+  /** Frees the textures. */
   dispose() {
     this.uniforms.reflections.value.dispose();
     this.occlusion.dispose();

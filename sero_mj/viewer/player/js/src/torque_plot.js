@@ -8,9 +8,9 @@ import uPlot from "uplot";
 const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angles: "angle" };
 // Colors of torque plots of live pages, see `torque_plots.py`.
 const RGB = { torques: [0.45, 0.78, 1], commanded_torques: [1, 0.62, 0.18], joint_angles: [0.45, 0.78, 1] };
-const HEIGHT = 10; // of the text's height
-const LEAST = 0.01; // of the largest value, and in its unit: smallest range of a plot
-const LONGEST = 28; // characters of a file's name
+const HEIGHT = 10; // height of the plot, in text heights
+const LEAST = 0.01; // minimum range, both relative to the largest value and in the unit of the plot
+const LONGEST = 28; // maximum number of characters of a file name
 
 /** The range of values, which does not enlarge noise. @param {(number | null)[]} values @returns {[number, number]} */
 function rangeOf(values) {
@@ -22,7 +22,7 @@ function rangeOf(values) {
 }
 
 /**
- * Names of files without the folders that all are in; a long name is cut in the middle.
+ * Returns a file name without the folders that all files share. The middle of a long name is cut.
  * @param {Record<string, string>} files @param {string} which @returns {string}
  */
 export function shortName(files, which) {
@@ -34,7 +34,7 @@ export function shortName(files, which) {
 }
 
 /**
- * The name of a line: the label on the joint's card with the file that it means, else the quantity.
+ * Returns the name of a line: the label on the joint's billboard with its file, or the quantity.
  * @param {Run} run @param {number} joint @param {keyof typeof WORDS} key @returns {{name: string, tip?: string}}
  */
 function nameOf({ joints, meanings }, joint, key) {
@@ -43,7 +43,7 @@ function nameOf({ joints, meanings }, joint, key) {
   return { name: `${label}: ${shortName(meanings, label)}`, tip: meanings[label] };
 }
 
-/** The plot of a joint, as a node without its marker. @param {Run} run @param {number} joint @returns {Content} */
+/** Returns the plot of a joint, as a node without the marker. @param {Run} run @param {number} joint @returns {Content} */
 export function torquePlot(run, joint) {
   const { frames, values, begin, fps } = run;
   /** @param {string} key */
@@ -58,7 +58,7 @@ export function torquePlot(run, joint) {
     ...nameOf(run, joint, key), rgb: RGB[key], isDashed: key === "commanded_torques", x,
     y: Array.from(own(key), (value) => Number.isFinite(value) ? (isAngle ? 1 : torqueFactor) * value : null),
   }));
-  // A before B, whichever was measured.
+  // A before B, independent of which one was measured.
   if (lines.every(({ tip }) => tip)) lines.sort((a, b) => a.name.localeCompare(b.name));
   return { x: "s", y: isAngle ? `angle [${angleUnit}]` : torqueLabel, xRange: [begin, x[frames - 1]],
     yRange: rangeOf(lines.flatMap(({ y }) => y)), limits: [], height: HEIGHT, lines };

@@ -6,8 +6,8 @@
  *   onmessage: (message: ArrayBuffer | string | import("./sections.js").Sections) => void, onclose: () => void,
  *   onlocked: () => void, onother: () => void, onframe?: () => void, hadControl: () => boolean,
  *   noteControl: (isInControl: boolean) => void}} Transport
- *   onopen: it is there, and the state comes from the start; onclose: it is gone;
- *   onlocked: it needs a token that this browser does not have; onother: another page is served there now;
+ *   onopen: connected, and the complete state follows; onclose: disconnected;
+ *   onlocked: the server needs a token that this browser does not have; onother: another page is served now;
  *   onframe: the image has changed; hadControl, noteControl: whether this tab was in control of the connection before
  */
 
@@ -18,7 +18,7 @@
  *   noteControl: (isInControl: boolean) => void}} Access
  */
 
-/** That of this page. */
+/** The access of this page. */
 export const accessOf = () => /** @type {Access} */ (/** @type {any} */ (globalThis).access);
 
 const LEAST_PAUSE = 250, MOST_PAUSE = 2000; // ms, between two attempts
@@ -40,7 +40,7 @@ export class SocketTransport {
     this.onmessage = () => {};
   }
 
-  /** Connects, and again whenever it is gone. */
+  /** Connects, and reconnects whenever the connection is lost. */
   open() {
     if (this.access.token()) this.#connect();
     else this.#openAgain(); // a page without a token, or one that is locked
@@ -91,8 +91,8 @@ export class SocketTransport {
 const ASKING = 500, ALIVE = 4000, GONE = 20_000, LOST = 2000; // ms
 
 /**
- * A page in a cell of a notebook: what it says goes through the frame's parent, in which
- * `bridge.js` hands it to the kernel.
+ * A page in a cell of a notebook. Messages go to the parent of the frame, in which `bridge.js`
+ * forwards them to the kernel.
  * @implements {Transport}
  */
 export class CellTransport {
@@ -101,12 +101,12 @@ export class CellTransport {
     this.cell = cell;
     this.client = crypto.getRandomValues(new Uint32Array(2)).join("-"); // several browsers may show a cell
     this.isOpen = false;
-    this.heard = 0; // when, ms
+    this.heard = 0; // time of the last message, ms
     this.onopen = () => {};
     this.onclose = () => {};
     this.onlocked = () => {};
     this.onother = () => {};
-    this.onlost = () => {}; // it is gone, and does not come back soon
+    this.onlost = () => {}; // the connection is lost and does not return soon
     /** @type {Transport["onmessage"]} */
     this.onmessage = () => {};
     this.isAsking = false;
@@ -114,7 +114,7 @@ export class CellTransport {
     this.noteControl = () => {};
   }
 
-  /** Whether the kernel answers. @param {number} patience ms */
+  /** Returns whether the kernel answers. @param {number} patience ms */
   finds(patience) {
     return new Promise((/** @type {(found: boolean) => void} */ answer) => {
       this.onopen = () => answer(true);
@@ -123,7 +123,7 @@ export class CellTransport {
     });
   }
 
-  /** Asks for the kernel until it answers, and again whenever it is gone. */
+  /** Calls the kernel until it answers, and again whenever the connection is lost. */
   open() {
     if (this.isOpen) queueMicrotask(() => this.onopen());
     if (this.isAsking) return;

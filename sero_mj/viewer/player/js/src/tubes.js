@@ -1,12 +1,12 @@
-/** Straight tubes with round ends between moving places: tendons, flexes of one dimension. */
+/** Straight tubes with round ends between moving points: tendons and one-dimensional flexes. */
 
 import * as THREE from "three";
 
 const TURN = Math.PI / 2;
 
 /**
- * A capsule of radius 1 that a matrix's scale makes longer, while its ends stay round: z of its
- * vertices is that on their sphere, and `end` on which one.
+ * A capsule of radius 1, which the scale of a matrix makes longer while the ends remain round: z of
+ * a vertex is that on the sphere of its end, and `end` is the end.
  */
 export function tube() {
   const shape = new THREE.CapsuleGeometry(1, 2, 6, 16).rotateX(TURN);
@@ -19,7 +19,7 @@ export function tube() {
   return shape;
 }
 
-/** Lets a shader draw `tube` with instances. @param {{vertexShader: string}} shader */
+/** Makes a shader draw `tube` with instances. @param {{vertexShader: string}} shader */
 export function stretch(shader) {
   shader.vertexShader = "attribute float end;\n" + shader.vertexShader
     .replace("#include <beginnormal_vertex>", `vec2 scale = vec2(length(instanceMatrix[0]), length(instanceMatrix[2]));
@@ -28,7 +28,7 @@ export function stretch(shader) {
       vec3 transformed = vec3(position.xy, end + position.z * thick.x / max(thick.y, 1e-9));`);
 }
 
-/** Many tubes, one mesh. */
+/** Many tubes in one mesh. */
 export class Tubes {
   /** @param {THREE.Material} material @param {number} count */
   constructor(material, count) {
@@ -45,7 +45,7 @@ export class Tubes {
   }
 
   /**
-   * Places one.
+   * Updates a tube.
    * @param {number} k @param {THREE.Vector3} from @param {THREE.Vector3} to
    * @param {number} radius m; 0 hides it
    */

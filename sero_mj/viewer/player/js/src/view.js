@@ -1,4 +1,4 @@
-/** The image of a page, the texts over it, and when to draw. */
+/** The image of a page, the text over it, and the drawing of frames. */
 
 import { Cards } from "./cards.js";
 import { Labels } from "./labels.js";
@@ -9,15 +9,15 @@ import { Stage, rendererOf } from "./stage.js";
 /** @typedef {"light" | "dark"} Look */
 
 /**
- * What a page does.
+ * The actions of a page.
  * @typedef {{frame: (passed: number) => void, card: (key: string, event: MouseEvent) => void,
  *   turn: (isUser: boolean) => void, look: (look: Look) => void, resize: () => void}} Acts
  *   frame: draws; `passed` is the time since the last frame, ms, or 0 after a pause;
- *   turn: the camera has turned
+ *   turn: the camera has moved
  */
 
 /**
- * What is drawn: a time of a run, with what is on.
+ * The state to draw: a time of a run, and the visible features.
  * @typedef {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
  *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
  *   cards: () => import("./cards.js").Content[], labels: import("./labels.js").Label[],
@@ -38,19 +38,19 @@ export class View {
     this.before = 0; // time of the last frame, ms; 0 after a pause
     this.isAwake = false;
     this.isDirty = true; // whether the image has changed
-    this.isUsers = false; // whether it is the user who turns the camera
+    this.isUsers = false; // whether the user moves the camera
     /** @type {Look} */
     this.look = "light";
     this.#listen();
   }
 
-  /** The stage of the run that is shown. */
+  /** The stage of the displayed run. */
   get stage() {
     if (!this.current) throw new Error("nothing has been drawn yet");
     return this.current;
   }
 
-  /** Shows a run, instead of the one before. @param {Run} run */
+  /** Shows a run instead of the previous one. @param {Run} run */
   show(run) {
     this.current?.dispose();
     const stage = this.current = new Stage(run, this.renderer);
@@ -141,7 +141,7 @@ export class View {
   }
 }
 
-/** What is wrong now, by what it concerns. @type {Map<string, string>} */
+/** Current problems by topic. @type {Map<string, string>} */
 const troubles = new Map();
 
 /** Shows a problem over the image. @param {string} what topic @param {string} text empty to remove it */

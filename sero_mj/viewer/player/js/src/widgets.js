@@ -21,8 +21,8 @@ import { Ticks } from "./ticks.js";
 const ECHO = 1000; // ms; the server confirms a change within this time
 
 /**
- * A value that users change. Their value is shown until the server confirms it, and nothing overwrites
- * it during the input.
+ * A value that users change. The user's value is shown until the server confirms it, and nothing
+ * overwrites the value during the input.
  * @template T
  */
 export class Held {
@@ -39,7 +39,7 @@ export class Held {
     this.since = performance.now();
   }
 
-  /** The value to show, from that of the server. @param {T} value @returns {T} */
+  /** Returns the value to show for the value of the server. @param {T} value @returns {T} */
   shown(value) {
     if (this.wanted === undefined) return value;
     const isOver = this.wanted === value || performance.now() - this.since > ECHO;
@@ -91,7 +91,7 @@ function labelled(control, kind) {
   return { element, say };
 }
 
-/** A text. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
+/** Returns a function that creates a text. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
 const words = (tag, kind) => () => {
   const element = /** @type {HTMLElement} */ (made(tag, ""));
   return { element, update: ({ s, mood, tip }) => {
