@@ -83,7 +83,7 @@ def test_joints_with_the_largest_shares_have_billboards(size: tuple[int, int]) -
     assert set(cards.items.tolist()) <= most
     assert count == 12 if size == SIZES[0] else 8 <= count <= 12  # as many as there is space for
     notes = [line for panels in decor.panels for lines in panels.texts for line in lines]
-    assert b"billboards: %d of 62 joints, the most loaded" % count in notes
+    assert b"%d of 62 joints shown: highest loads" % count in notes
     low, high = cards.centres - cards.sizes / 2, cards.centres + cards.sizes / 2
     apart = ((high[:, None] <= low + 1e-6) | (low[:, None] >= high - 1e-6)).any(axis=2)
     assert (apart | np.eye(count, dtype=bool)).all()

@@ -329,7 +329,7 @@ def test_billboards_of_a_chain_do_not_overlap(size: tuple[int, int], count: int)
     cards = sum(len(p.texts) for p in found if p.has_values)
     notes = [line for p in found for lines in p.texts for line in lines if b" of 60 " in line]
     assert cards == 6 if count == 6 else 4 < cards < 48
-    expected = [b"billboards: %d of 60 joints, the most loaded" % cards]
+    expected = [b"%d of 60 joints shown: highest loads" % cards]
     assert notes == ([] if count == 6 else expected)
 
 

@@ -43,7 +43,7 @@ _MARGIN = 0.5  # fraction of a line's height
 _LANE = 0.2  # distance of leaders beside a column, fraction of a line's height
 _OF_LIMB = 2  # number of joint billboards that a limb billboard counts as
 _LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds with a share
-_LOADED = ", the most loaded"  # end of the note, unless no load is known
+_LOADED = ": highest loads"  # end of the note, unless no load is known
 _ROUNDS = 8  # maximum iterations of placing and uncrossing; panels of several sizes need several
 # Dark on a light scene, light on a dark one.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
@@ -457,8 +457,8 @@ def _note(view: ImageView, total: int, corners: list[Panels]) -> Panels:
     return Panels(centre[None], size[None], [[text]])
 
 
-def _note_text(shown: int, total: int, what: str = " joints", which: str = _LOADED) -> bytes:
-    return f"billboards: {shown} of {total}{what}{which}".encode()
+def _note_text(shown: int, total: int, what: str = "joints", which: str = _LOADED) -> bytes:
+    return f"{shown} of {total} {what} shown{which}".encode()
 
 
 def _note_of(every: _All, is_shown: Bools) -> bytes:
@@ -468,7 +468,7 @@ def _note_of(every: _All, is_shown: Bools) -> bytes:
     return _note_text(
         int((is_shown & is_load).sum()),
         int(is_load.sum()),
-        "" if Kind.LIMB in kinds else " joints",
+        "billboards" if Kind.LIMB in kinds else "joints",
         _LOADED if is_known else "",
     )
 
