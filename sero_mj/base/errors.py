@@ -330,11 +330,16 @@ class SourceError(_ProblemError, OSError):
 
 
 class RecordingError(_ProblemError, OSError):
-    """A recording that cannot be read or written."""
+    """A recording that cannot be read or written.
 
-    def __init__(self, path: object, reason: Problem | str) -> None:
+    Attributes:
+        needs_scene: whether the recording can be read if a scene is passed.
+    """
+
+    def __init__(self, path: object, reason: Problem | str, *, needs_scene: bool = False) -> None:
         super().__init__(reason, str(path))
         self.path = str(path)
+        self.needs_scene = needs_scene
         self.reason = str(self.problem)
 
 

@@ -1,6 +1,6 @@
 """The command line: `sero-mj COMMAND ...`, one file per command.
 
-A package adds one by an entry point in the group `sero_mj.commands`, see `Command`.
+A package adds a command by an entry point in the group `sero_mj.commands`, see `Command`.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ GROUPS = ("see", "receive", "simulate", "analyze", "files")
 
 
 def main(arguments: list[str] | None = None) -> None:
-    """Runs one command and exits with its status, or with 2 and an error message.
+    """Runs one command and exits with its status, or prints an error and exits with 2.
 
     `__main__` handles Ctrl+C, also during imports.
     """
@@ -85,7 +85,7 @@ class Command(Protocol):
 
 
 class _CommandList:
-    """Stands in for the subparsers of argparse, and sorts the help lines of commands by group."""
+    """Replaces the subparsers of argparse, and sorts the help lines of commands by group."""
 
     def __init__(self, commands: Any) -> None:
         self._commands = commands

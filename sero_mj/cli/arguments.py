@@ -1,4 +1,4 @@
-"""Functions that commands share: parser, scenes and recordings, output, interruption."""
+"""Functions that commands share, for parsing, reading, output and interruption."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class OneLineParser(argparse.ArgumentParser):
 
 
 def join_negative_values(arguments: list[str]) -> list[str]:
-    """Joins `--camera -90,-20,3` with `=`, because argparse reads -90 as an option."""
+    """Converts `--camera -90` to `--camera=-90`, because argparse reads `-90` as an option."""
     joined: list[str] = []
     for argument in arguments:
         option = joined[-1] if joined else ""
@@ -75,7 +75,8 @@ def command(
     """Returns the function that adds a command to the program's parser.
 
     `run` returns the exit status. The first line of the docstring of `kind` describes the command.
-    The first paragraph of `text` (the examples) precedes the options in the help, the rest follows.
+    In the help, the first paragraph of `text` (the examples) precedes the options, and the other
+    paragraphs follow them.
     """
     summary, *_ = str(kind.__doc__).splitlines()
     examples, _, notes = text.partition("\n\n")
@@ -101,13 +102,13 @@ def command(
 
 
 def check_ending(option: str, path: Path, endings: Collection[str]) -> None:
-    """Raises UsageError for a file name with another ending; `option` begins the message."""
+    """Raises UsageError if a file name has another ending; `option` begins the message."""
     if path.suffix.lower() not in endings:
         raise UsageError(f"{option}: expected a name that ends in {', '.join(endings)}")
 
 
 def check_new(paths: Iterable[Path], hint: str) -> None:
-    """Raises UsageError if one of these files exists; `hint` is the remedy in the message."""
+    """Raises UsageError if one of the files exists; `hint` is the remedy in the message."""
     for path in paths:
         if path.exists():
             raise UsageError(f"{path} already exists; {hint}")
@@ -123,7 +124,7 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """Returns a text with the tasks per second since `begin` and the number of workers."""
+    """Returns the tasks per second since `begin` and the number of workers, as text."""
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
@@ -132,9 +133,10 @@ def pace(done: int, begin: float, workers: int) -> str:
 def progress_bar(
     what: str, *, quiet: bool, stays: bool = False, note: Callable[[], str] | None = None
 ) -> Iterator[Callable[[int, int], None]]:
-    """Shows a progress bar on a terminal; yields a function of the amount done and the total.
+    """Shows a progress bar on a terminal.
 
-    With `stays` the bar remains visible at the end. `note` returns text to show after the bar.
+    Yields a function that updates the bar; its arguments are the completed amount and the total.
+    With `stays`, the bar remains visible at the end. `note` returns text to show after the bar.
     """
     from rich import progress as bars
     from rich.table import Column
@@ -169,7 +171,7 @@ def progress_bar(
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Parses `--set robot.field=value`, whose value is TOML or numbers with commas.
+    """Parses values of `--set robot.field=value`, which are TOML or numbers separated by commas.
 
     Raises UsageError for a setting without a key or `=`.
     """
@@ -205,7 +207,7 @@ def read_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads a scene by name, file or network address, and applies `--set`, see `load_scene`.
+    """Loads a scene by name, file or network address, and applies `--set`; see `load_scene`.
 
     Prints the programs that a scenario of the scene starts.
     """
@@ -221,7 +223,10 @@ def read_scene(
 
 
 def network_scene(name: str) -> str | None:
-    """Writes a scene for the robot at an address such as `ros2://HOST`; None for other names."""
+    """Writes a scene for the robot at an address such as `ros2://HOST`, and returns the file.
+
+    Returns None if `name` is not an address.
+    """
     scheme, separator, _ = name.partition("://")
     if not separator or scheme not in plugins(NETWORKS):
         return None
@@ -237,7 +242,7 @@ def print_programs(scenario: Scenario | None) -> None:
 
 @contextlib.contextmanager
 def named_settings(settings: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
-    """Names the option in reported problems of the fields that it sets."""
+    """Replaces the keys of fields that an option sets by that option in reported problems."""
     try:
         yield
     except DeclarationError as error:
@@ -273,8 +278,8 @@ def replay_instead(
         scene: the scene, which is modified.
         file: a recording or table.
         start: start time in seconds since the recording began; None for the first packet.
-        source: for a ROS recording, the recorded source that moves the robot of a scene without
-            sources; for a table, the source of the scene that the table replaces.
+        source: for a ROS recording and a scene without sources, the recorded source that moves the
+            robot; for a table, the source of the scene that the table replaces.
         columns: `SIGNAL=COLUMNS` for each signal of a table.
 
     Raises:
@@ -354,8 +359,8 @@ def read_recorded_run(
 ) -> RunLog:
     """Reads a recording, or a table with `columns` as `SIGNAL=COLUMNS`.
 
-    Without a `scene`, the recording itself selects a scene, which must have one of `robots` if
-    there are any. `source` selects one source of the recording.
+    If `scene` is None, the recording determines the scene, which must contain one of `robots`
+    unless `robots` is empty. `source` selects one source of the recording.
     """
     from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
@@ -386,8 +391,8 @@ def read_recorded_run(
     try:
         return read_run(path, source, scene=scene)
     except RecordingError as error:
-        if scene is None and "give" in error.reason:
-            raise RecordingError(error.path, f"{error.reason}: --scene SCENE") from None
+        if scene is None and error.needs_scene:
+            raise RecordingError(error.path, f"{error.reason} with --scene SCENE") from None
         raise
 
 
@@ -396,7 +401,7 @@ def note_choice(recording: Path, scene: str) -> None:
     from ..data.record.formats import look_into
 
     if not paths.is_temporary(scene) and look_into(recording).names_joints:
-        chosen = f"does not describe its robot; showing {scene}, which has the same joint names"
+        chosen = f"does not describe its robot; using {scene}, which has the same joint names"
         print(f"note: {recording} {chosen}", file=sys.stderr)
 
 
@@ -413,7 +418,7 @@ def check_span(recording: PacketFile, start: float | None, option: str = "--star
 
 @contextlib.contextmanager
 def until_ended() -> Iterator[None]:
-    """Makes Ctrl+C and SIGTERM (`kill`, `timeout`) end the context instead of the command."""
+    """Ends the context, not the command, at Ctrl+C and SIGTERM (`kill`, `timeout`)."""
     if threading.current_thread() is not threading.main_thread():
         with contextlib.suppress(KeyboardInterrupt):
             yield

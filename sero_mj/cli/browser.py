@@ -21,10 +21,10 @@ def can_open_browser() -> bool:
 
 
 def open_in_browser(url: str) -> None:
-    """Opens a page in the user's browser, if there is one.
+    """Opens a page in the user's browser, if a browser is installed.
 
-    All users of a machine can read the arguments of processes. Therefore, the browser gets the name
-    of a file that only this user can read, and that redirects to the page.
+    All users of a machine can read the arguments of processes. Therefore, the browser opens a
+    file that redirects to the page and that only this user can read.
     """
     file = redirect_to(url)
 

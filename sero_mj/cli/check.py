@@ -1,4 +1,4 @@
-"""`sero-mj check`: reports errors and contents of a scene, or what works on this machine."""
+"""`sero-mj check`: reports the errors and contents of a scene, or checks this machine."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
 
 _NAMED_JOINTS = 24  # further joints are only counted
-_NO_BREAK = "\0"  # a space at which no line is broken
+_NO_BREAK = "\0"  # a non-breaking space
 _HELP = """\
 examples:
   sero-mj check lwr_udp                  errors of a scene, or its contents
@@ -53,12 +53,12 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
     Attributes:
         scene: scene, robot or recording: a file or a shipped name (default: check this machine).
         fk: print the base-to-flange transform of a robot.
-        joint_angles: comma-separated joint values, rad or m; implies --fk (default: home).
-        of: robot for --fk, in a scene with several robots.
+        joint_angles: comma-separated joint values, rad or m; implies --fk (default: home pose).
+        of: robot for --fk, required in a scene with several robots.
         deg: read --joint-angles in degrees.
         schema_of: print the JSON schema of robot, group, scene or scenario files, for editors.
         output: file for the schema (default: standard output).
-        as_json: print JSON (forward kinematics, or this machine).
+        as_json: print JSON; only with --fk or without a scene.
     """
 
     scene: Annotated[str | None, positional("SCENE")] = None
@@ -88,7 +88,7 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
 
 
 def run(options: CheckOptions) -> int:
-    """Runs the requested check; returns the exit status."""
+    """Runs the requested check and returns the exit status."""
     if options.schema_of is not None:
         return _print_schema(options.schema_of, options.output)
     if options.scene is None:

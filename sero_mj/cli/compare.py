@@ -48,22 +48,23 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     """Compare recordings of a robot, joint by joint.
 
     Attributes:
-        a: recording or table (.csv).
-        b: second recording (default: compare commanded with measured torques of A).
+        a: first recording or table (.csv).
+        b: second recording or table (default: compare commanded and measured torques of A).
         more: further recordings to compare with A.
-        each: compare commanded with measured torques of every recording.
-        against_model: compare with the robot's own model in the same motion.
-        robot: robot to compare; NAME,NAME if it has different names in A and B.
-        source: source to read; NAME,NAME for A and B (default: all).
-        offset: offset added to the times of B, s; auto estimates it from the motion.
+        each: compare commanded and measured torques in each recording.
+        against_model: compare A with the robot's model in the same motion.
+        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
+        source: source to read; NAME,NAME for A and B (default: all sources).
+        offset: offset added to the times of B, s; auto estimates the offset from the motion.
         plot: draw a figure: .png, .pdf or .svg.
         csv: write both recordings and their difference to a table.
         table: write one row per recording to a table.
         as_json: print the result as JSON.
-        output: write a page that plays both, with explanations of the difference on its timeline.
+        output: write a page that plays A and B, with explanations of the difference on the
+            timeline.
         render: render a video of A with the difference as arrows, and a transparent double for B.
-        tolerance_torque: exit with 1 if measured torques differ by more than this, Nm (N).
-        tolerance_angle: exit with 1 if angles differ by more than this, degrees (prismatic: mm).
+        tolerance_torque: maximum difference of measured torques, Nm or N; exit with 1 above it.
+        tolerance_angle: maximum difference of joint values, degrees or mm; exit with 1 above it.
         quiet: print no table and no progress bar.
     """
 
@@ -107,7 +108,10 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
 
 
 def run(options: CompareOptions) -> int:
-    """Compares recordings; returns 0, 1 if a tolerance is exceeded, or 2 if a recording fails."""
+    """Compares recordings.
+
+    Returns 0, 1 if a tolerance is exceeded, or 2 if a recording cannot be compared.
+    """
     return _compare_many(options) if options.is_batch else _compare_two(options)
 
 
@@ -148,7 +152,7 @@ def _compare_two(options: CompareOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Returns the results of one recording of a batch by column, see `EachRecording`.
+    """Returns the results of one recording of a batch by column; see `EachRecording`.
 
     The columns are `seconds`, `peak` and `rms` of each signal at its worst `joint`, the `exceeded`
     tolerances, the explanations (`explained`), and their short forms (`faults`).
@@ -190,7 +194,7 @@ def _compare_many(options: CompareOptions) -> int:
     others = [path for path in (options.b, *options.more) if path is not None]
     recordings = [options.a, *others] if options.each else others
     needed = [] if options.each else [options.a]
-    if needed:  # reports an error in A once, not for each recording
+    if needed:  # report an error in A once, not for each recording
         of_a, _, _ = (options.source or "").partition(",")
         name, _, _ = (options.robot or "").partition(",")
         choose_robot(options.read(options.a, of_a or None), name or None)

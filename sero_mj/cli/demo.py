@@ -1,4 +1,4 @@
-"""`sero-mj demo`: renders a video of a robot that is mirrored from another process."""
+"""`sero-mj demo`: renders a video of a robot whose joint values come from another process."""
 
 from __future__ import annotations
 

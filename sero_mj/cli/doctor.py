@@ -1,4 +1,4 @@
-"""`sero-mj check` without a scene: reports which OpenGL backends and viewers work here.
+"""`sero-mj check` without a scene: reports which OpenGL backends and viewers are available.
 
 Each backend is tested in its own process, because importing MuJoCo fixes the backend of a process.
 """
@@ -69,7 +69,7 @@ _TRIAL_SIDE = 64  # pixels
 
 
 def check_machine(*, as_json: bool) -> int:
-    """Prints which backends and renderers work; returns 0 if at least one backend works, else 1."""
+    """Prints which backends and renderers work; returns 0 if a backend works, otherwise 1."""
     from ..viewer.image.renderer import renderers
 
     versions = {name: _version(name) for name in ("sero-mj", "mujoco", "numpy", "av")}
@@ -135,7 +135,7 @@ def _version(distribution: str) -> str | None:
 
 
 def window_problem() -> str | None:
-    """Returns the reason why no window can be opened, or None if one can."""
+    """Returns the reason why no window can be opened, or None if windows are available."""
     return None if has_display() else "neither DISPLAY nor WAYLAND_DISPLAY is set"
 
 

@@ -1,4 +1,4 @@
-"""Examines many recordings on the engine that `--engine` selects, and prints one row for each."""
+"""Examines many recordings on the engine that `--engine` selects; prints a row per recording."""
 
 from __future__ import annotations
 

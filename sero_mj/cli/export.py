@@ -56,18 +56,18 @@ GROUP, ORDER = "files", 52
 
 
 class ExportOptions(SceneArgument, ShownOptions):
-    """Write a scene or run as page, glTF, table, MJCF, TOML or X3D.
+    """Write a scene or run as a page, glTF, table, MJCF, TOML or X3D file.
 
     Attributes:
         scene: scene, scenario, robot or recording: a file or a shipped name.
-        file: output file, like --output.
-        output: output file; its ending selects the format.
-        seconds: duration, s (default: until the end; 10 s for live sources).
+        file: output file; same as --output.
+        output: output file; the file name's ending selects the format.
+        seconds: duration, s (default: until the end, or 10 s for live sources).
         begin: start time in the run, s.
         end: end time in the run, s.
         fps: frames per second.
         name: title of the page (default: the name of the scene).
-        joint_order: robot, or scene of one robot, that orders the joints of a table.
+        joint_order: robot whose joint order a table has; also a scene with one robot.
         overwrite: replace an existing table, TOML or X3D file.
         quiet: print nothing.
     """
@@ -114,7 +114,7 @@ class ExportOptions(SceneArgument, ShownOptions):
 
     @property
     def length(self) -> float | None:
-        """The duration in seconds; None until the end."""
+        """The duration in seconds, or None for the rest of the run."""
         return self.seconds if self.end is None else self.end - (self.begin or 0.0)
 
     def accept(self, *names: str) -> None:
@@ -125,7 +125,7 @@ class ExportOptions(SceneArgument, ShownOptions):
 
 
 def run(options: ExportOptions) -> int:
-    """Writes the file; returns the exit status."""
+    """Writes the output file and returns the exit status."""
     return int(load_plugin(EXPORTS, options.ending)(options))
 
 
@@ -139,7 +139,7 @@ CAPTURE_OPTIONS = (
 
 
 def write_page_of(options: ExportOptions) -> int:
-    """Writes a page that plays a scene or a run; returns 0."""
+    """Writes a page that plays a scene or run; returns 0."""
     from ..study.run_report import marks_of
     from ..viewer.player.page import write_page
 
@@ -196,7 +196,7 @@ def write_mjcf(options: ExportOptions) -> int:
 
 
 def write_table(options: ExportOptions) -> int:
-    """Writes a recording as a table; returns 1 if packets exist but none is valid, else 0."""
+    """Writes a recording as a table; returns 1 if there are only invalid packets, otherwise 0."""
     options.accept("begin", "end", "source", "joint_order", "overwrite")
     from ..data.record.csv_files import export_csv
     from ..data.record.formats import open_recording

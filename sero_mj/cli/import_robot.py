@@ -35,7 +35,7 @@ not replaced. xacro files are converted to URDF if the package `xacro` is instal
 MJCF stay in a copy of the file and of all files that it includes.
 """
 _ENDINGS = (".urdf", ".xacro", ".xml")
-_NO_BREAK = "\0"  # a space at which no line is broken
+_NO_BREAK = "\0"  # a non-breaking space
 # Matches the names of other files in COLLADA, OBJ and MTL files.
 _REFERENCE = re.compile(
     rb"<init_from>\s*(?:<ref>)?\s*([^<]+?)\s*<|^[ \t]*(?:mtllib|map_Kd)[ \t]+([^\r\n]+)",
@@ -48,7 +48,7 @@ class ImportOptions(PackageOptions):
     """Write a robot folder and a scene from a URDF or MJCF file.
 
     Attributes:
-        file: URDF, xacro or MJCF.
+        file: URDF, xacro or MJCF file.
         out: folder to create (default: the name of the robot).
         convention: convention of the Denavit-Hartenberg table (default: craig).
     """
@@ -59,7 +59,7 @@ class ImportOptions(PackageOptions):
 
 
 def run(options: ImportOptions) -> int:
-    """Writes the files; returns 0."""
+    """Writes the robot folder and the scene; returns 0."""
     from ..robots.declared.robot import SerialRobot
 
     _check_format(options.file)
@@ -99,7 +99,7 @@ _Limbs: TypeAlias = Mapping[str, Sequence[int]]
 
 class _Source(NamedTuple):
     described: ImportedTables
-    write: Callable[[Path, _Limbs], str]  # writes meshes into a folder, returns the robot file
+    write: Callable[[Path, _Limbs], str]  # writes meshes to a folder, returns the robot file
     why_no_table: str
 
 

@@ -1,4 +1,4 @@
-"""`sero-mj list`: lists shipped robots and scenes, installed plug-ins, and keys of files."""
+"""`sero-mj list`: lists shipped robots and scenes, installed plug-ins, and file keys."""
 
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ class ListOptions(Options):
     """List the shipped robots, scenes, scenarios and environments.
 
     Attributes:
-        known: list third-party robots that can be used by name, see docs/robot_files.md.
-        fields: list the keys of robot or scenario files and their defaults (default: robots).
+        known: list third-party robots that can be used by name; see docs/robot_files.md.
+        fields: list keys and default values of robot files or scenario files (default: robots).
     """
 
     known: bool = False
@@ -145,7 +145,7 @@ def _print_scenario_fields() -> None:
 
 
 def scene_tables() -> dict[str, type[Declaration]]:
-    """Returns the tables of robot and scene files by header."""
+    """Returns a mapping from table headers of robot and scene files to declarations."""
     from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
     from ..robots.declared.couplings import Coupling
     from ..robots.declared.double import Double
@@ -175,7 +175,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:
-    """Returns the additional tables of scenario files by header."""
+    """Returns a mapping from additional table headers of scenario files to declarations."""
     from ..simulate.control.make_controller import controller_kinds
     from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS
@@ -205,9 +205,9 @@ def _print_declaration(declaration: type[Declaration]) -> None:
 
 
 def field_rows(declaration: type[Declaration]) -> list[tuple[str, str, str]]:
-    """Returns name, default and meaning of all fields of a declaration except `kind`.
+    """Returns the name, default and description of each field of a declaration except `kind`.
 
-    The default of a required field is empty.
+    The default of a required field is an empty string.
     """
     about = field_descriptions(declaration)
     rows = []

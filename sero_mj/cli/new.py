@@ -115,11 +115,11 @@ class NewOptions(Options):
         name: name of the robot.
         joints: number of joints.
         like: robot to copy: a shipped name or a folder.
-        snippet: print example code instead.
+        snippet: name of example code to print instead of writing files.
         robot: robot in the scene of the snippet: a file or a shipped name.
-        host: address of sero-mj on the network of the robot's computer.
-        port: UDP port of the packets.
-        scene: print the scene of the snippet instead of its code.
+        host: address at which the robot's computer reaches sero-mj.
+        port: UDP port to which the example code sends.
+        scene: print the scene or scenario of the snippet instead of the code.
     """
 
     name: Annotated[str | None, AfterValidator(_checked), positional("NAME")] = None
@@ -145,7 +145,7 @@ class NewOptions(Options):
 
 
 def run(options: NewOptions) -> int:
-    """Writes the files, or prints a snippet; returns 0."""
+    """Writes a robot file and a scene, or prints a snippet; returns 0."""
     from ..robots.declared.robot import SerialRobot
     from ..robots.importers.importer import is_robot_file
 
@@ -185,14 +185,14 @@ add_to = command("new", run, NewOptions, _HELP)
 
 
 def write_scene(folder: Path, text: str) -> None:
-    """Writes a scene next to the folder of a robot, and the schemas of both into the folder."""
+    """Writes a scene next to a robot folder, and schemas for scene and robot into the folder."""
     folder.with_name(f"{folder.name}.toml").write_text(text, encoding="utf-8")
     for kind in ("robot", "scene"):
         (folder / f"{kind}.schema.json").write_text(schema_text(kind), encoding="utf-8")
 
 
 def print_next(scene: Path) -> None:
-    """Prints the commands for a new scene."""
+    """Prints the commands that show a new scene."""
     print(f"{scene}: a scene that mirrors the robot")
     print(f"Next, run in two terminals:\n  sero-mj send {scene}\n  sero-mj view {scene}")
 
@@ -218,7 +218,10 @@ def _copy(model: Path, to: Path) -> None:
 
 
 def robot_text(name: str, n: int) -> str:
-    """Returns the file of an arm with n joints, which rotate alternately along and across links."""
+    """Returns the robot file of an arm with n joints.
+
+    The joint axes are alternately parallel and perpendicular to the links.
+    """
     rows, limits, velocities, torques, angles = [], [], [], [], []
     for k in range(n):
         is_across, arm = k % 2 == 1, _FIRST_LENGTH * _LENGTH_RATIO ** (k // 2 - 1)
@@ -317,7 +320,7 @@ class Snippet(NamedTuple):
 
 
 def snippets() -> Mapping[str, Snippet]:
-    """Returns all snippets by name."""
+    """Returns a mapping from snippet names to all snippets."""
     files = sorted(each.name for each in (resources.files(__package__) / "snippets").iterdir())
     own = {PurePath(name).stem: Snippet(__package__, name) for name in files if "." in name}
     own["lcm"] = own["lcm"]._replace(robot="iiwa14")
@@ -325,7 +328,7 @@ def snippets() -> Mapping[str, Snippet]:
 
 
 def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene: bool) -> str:
-    """Returns a snippet, or its scene or scenario if `is_scene`; raises UnknownName.
+    """Returns the code of a snippet, or its scene or scenario if `is_scene` is true.
 
     `robot` is a file or a shipped name; None selects the robot of the snippet.
     """

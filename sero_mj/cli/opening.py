@@ -1,4 +1,7 @@
-"""Selects the scene for a file or address from the command line, a drop or the start page."""
+"""Selects the scene that shows a file or address.
+
+The file or address comes from the command line, a drop or the start page.
+"""
 
 from __future__ import annotations
 
@@ -30,9 +33,9 @@ T = TypeVar("T", bound=_ShowsScene)
 def view_of_file(path: Path, shown: str | None, source: str | None = None) -> RecentView:
     """Returns the view that shows a robot, scene, scenario or recording.
 
-    A recording is shown in the scene `shown` if that has the recorded sources. Otherwise it is
-    shown in the scene of the recorded name: a recent one, one in the same folder, a shipped one, or
-    the one that is stored in the recording.
+    A recording is shown in the scene `shown` if this scene has the recorded sources. Otherwise,
+    it is shown in a scene with the recorded name: a recent scene, a scene in the same folder, a
+    shipped scene, or the scene that is stored in the recording.
 
     Raises:
         SeroError: the file does not exist, or no scene shows the recording.

@@ -17,10 +17,10 @@ T = TypeVar("T", bound=Options)
 
 
 def add_options(parser: argparse.ArgumentParser, kind: type[Options]) -> None:
-    """Adds the options of a declaration to a parser, those of its own class first.
+    """Adds the options of a declaration to a parser, starting with options of the class itself.
 
-    The parsed namespace has text, or lists of text, and only the options of the command line.
-    `read_options` checks the values and sets the defaults.
+    The parsed namespace contains strings, or lists of strings, of the options that are on the
+    command line. `read_options` checks the values and sets the defaults.
     """
     about = field_descriptions(kind)
     # A field that a subclass declares again stays in the group of the first class.
@@ -96,7 +96,7 @@ def _help(about: str, default: Any) -> str:
 
 
 def read_options(kind: type[T], given: Mapping[str, Any]) -> T:
-    """Returns the declaration of a parsed command line; raises DeclarationError."""
+    """Converts a parsed command line to a declaration; raises DeclarationError if it is invalid."""
     try:
         return kind(**{name: given[name] for name in kind.model_fields if name in given})
     except DeclarationError as error:

@@ -42,9 +42,9 @@ class PlotOptions(PartOptions):
 
     Attributes:
         recordings: recordings or tables (.csv).
-        output: figure file: .pdf, .png or .svg; several recordings become pages of a .pdf.
-        robot: robots to plot (default: all).
-        joints: joints to plot, for example A2,A4 (default: all).
+        output: figure file (.pdf, .png, .svg); several recordings become pages of a .pdf file.
+        robot: robots to plot (default: all robots).
+        joints: joints to plot, for example A2,A4 (default: all joints).
         quiet: print nothing.
     """
 

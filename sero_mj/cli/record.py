@@ -48,13 +48,13 @@ GROUP, ORDER = "receive", 22
 
 
 class TriggerOptions(Options):
-    """Recordings of events.
+    """Options for recording events.
 
     Attributes:
-        trigger: record only events: packets that satisfy this condition, and the time around them.
+        trigger: record only packets that satisfy this condition, and packets around this event.
         before: recorded time before an event, s.
         after: recorded time after the last packet of an event, s.
-        replay: search a recording for events instead of the live sources.
+        replay: search a recording for events instead of live sources.
     """
 
     title: ClassVar[str] = "recording events"
@@ -75,11 +75,11 @@ class RecordOptions(SceneArgument, TriggerOptions):
 
     Attributes:
         scene: scene: a file or a shipped name.
-        output: output file, or a folder with --trigger (default: the current one).
-        out: output file or folder, like OUT.mcap.
+        output: output file; with --trigger, also a folder (default: the current folder).
+        out: output file or folder; same as OUT.mcap.
         duration: duration, s (default: until Ctrl+C).
-        signals_rate: decoded values per second and source, for other programs; packets are always
-            recorded at their full rate.
+        signals_rate: rate of decoded values of each source for other programs, 1/s; packets are
+            always recorded at the full rate.
         overwrite: replace an existing file.
         quiet: print no progress line.
     """
@@ -112,7 +112,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
 
 
 def run(options: RecordOptions) -> int:
-    """Records; returns 0, or 1 if no packet arrived."""
+    """Records packets; returns 0, or 1 if no packet arrived."""
     from ..data.drive.record_sources import record_sources
     from ..data.drive.wiring import wire
 

@@ -43,7 +43,8 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
     """Render an image or a video of a scene without a window.
 
     Attributes:
-        output: image (.png, .jpg, .webp) or video (.mp4, .webm, .gif); .png or .npy with --pass.
+        output: image file (.png, .jpg, .webp; with --pass: .png, .npy) or video file (.mp4, .webm,
+            .gif).
         at: time of the image in a simulation or recording, s (default: 0).
         quiet: print nothing.
     """
@@ -128,7 +129,7 @@ def video_with_progress(
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
-    """Renders a video with a progress bar unless `quiet`; returns the silent sources."""
+    """Renders a video, with a progress bar unless `quiet`; returns the silent sources."""
     from ..viewer.image.render import render_video
 
     frames = 0

@@ -63,7 +63,10 @@ class _Definitions:
                     schema["properties"][names[key]]["description"] = about
 
     def fields(self, name: str, /, **changed: Schema | None) -> dict[str, Schema]:
-        """Returns the schemas of a declaration's fields; `changed` adds or (None) removes some."""
+        """Returns the schemas of a declaration's fields.
+
+        `changed` contains additional schemas, and None for fields to omit.
+        """
         fields = {**self.schemas[name]["properties"], **changed}
         return {key: schema for key, schema in fields.items() if schema is not None}
 

@@ -32,11 +32,11 @@ class SinkOptions(Options):
     """Layout and destination of packets.
 
     Attributes:
-        source: source of the scene to send to, if there are several.
-        structure: packet layout (default: that of the source).
+        source: source of the scene that receives the packets, if there are several sources.
+        structure: packet layout (default: layout of the source).
         host: destination address (default: 127.0.0.1).
-        port: destination UDP port (default: that of the source).
-        shm: shared memory to write to (default: that of the source).
+        port: destination UDP port (default: port of the source).
+        shm: name of the shared memory to write to (default: shared memory of the source).
     """
 
     title: ClassVar[str] = "destination of packets"
@@ -53,7 +53,7 @@ def goes_to_shm(options: SinkOptions, source: Source) -> bool:
 
 
 def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
-    """Returns the sink that the options name, by default the address of the source."""
+    """Returns the sink in the options, or by default the sink for the source's address."""
     from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
@@ -169,13 +169,13 @@ GROUP, ORDER = "receive", 24
 
 
 class PlayOptions(Options):
-    """Recordings and tables that replace the motion.
+    """Options for sending a recording, table or scenario.
 
     Attributes:
         play: recording (.mcap), table (.csv) or scenario to send instead of a motion.
-        speed: speed factor; 2 plays twice as fast.
-        loop: repeat until Ctrl+C.
-        recorded: source of the recording (default: the one with the same name, or the only one).
+        speed: playback speed relative to real time, for example 2.
+        loop: repeat the playback until Ctrl+C.
+        recorded: recorded source to send (default: source with the same name, or the only source).
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
@@ -188,13 +188,13 @@ class PlayOptions(Options):
 
 
 class ControllerOptions(Options):
-    """Sending like the controller of a robot, for sources with such a protocol.
+    """Options for sending like a robot controller, for sources with a controller's protocol.
 
     Attributes:
-        cycle: time between packets, 1 to 100 ms (default: 5).
+        cycle: time between packets, 1 to 100, ms (default: 5).
         loss: share of lost packets, 0 to 1.
-        quality: fixed quality: unacceptable, bad, ok, perfect or invalid (default: computed from
-            the replies, or ok if the scene sends none).
+        quality: reported connection quality: unacceptable, bad, ok, perfect or invalid (default:
+            computed from the replies, or ok if the scene sends no replies).
         seed: seed of the lost packets.
     """
 
@@ -211,7 +211,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
     Attributes:
         rate: packets per second (default: 1000; FRI: 200).
         duration: duration, s (default: until Ctrl+C).
-        amplitude: amplitude of the motion, 0 (still) to 1.
+        amplitude: amplitude of the motion, from 0 (no motion) to 1.
     """
 
     rate: Annotated[Positive | None, Option("HZ")] = None
@@ -228,7 +228,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
 
 
 def run(options: SendOptions) -> int:
-    """Sends until the end or Ctrl+C; returns 0."""
+    """Sends packets until the motion ends or Ctrl+C; returns 0."""
     from ..data.drive.wiring import wire
     from ..data.receive.structure import Structure
     from ..data.send.play import choose_source

@@ -102,7 +102,7 @@ class PackageOptions(Options):
     """Packages and arguments of robots in URDF and xacro.
 
     Attributes:
-        package: folder of a ROS package that a URDF file refers to; repeatable.
+        package: name and folder of a ROS package to which a URDF file refers; repeatable.
         arg: xacro argument, for example ur_type=ur5e; repeatable.
     """
 
@@ -110,7 +110,7 @@ class PackageOptions(Options):
     arg: Annotated[list[Annotated[str, AfterValidator(_argument)]], Option("NAME=VALUE")] = []
 
     def apply(self) -> None:
-        """Sets the environment variables that importers in this and in child processes read."""
+        """Sets environment variables for importers in this process and in child processes."""
         for name, _, folder in (text.partition("=") for text in self.package):
             known = os.environ.get(PACKAGES_VARIABLE)
             own = f"{name}={Path(folder).resolve()}"
@@ -137,7 +137,7 @@ class ReplayOptions(Options):
     Attributes:
         replay: play a recording or a table (.csv) instead of the live sources.
         start: start time in the recording, s (default: the first packet).
-        source: source of a ROS recording that moves the robot, if there are several.
+        source: source of a ROS recording that moves the robot, if there are several sources.
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
@@ -158,7 +158,7 @@ class ReplayOptions(Options):
         return self
 
     def read_replayed(self, name: str, settings: Sequence[str] = (), **how: bool) -> Scene:
-        """Loads a scene, and replaces its sources by the recording, if any; see `load_scene`."""
+        """Loads a scene; with --replay, replaces its sources by the recording. See `load_scene`."""
         scene = read_scene(name, settings, replay=self.replay, **how)
         if self.replay is not None:
             replay_instead(scene, self.replay, self.start, self.source, self.columns)
@@ -169,7 +169,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
     """Options of commands that show a scene.
 
     Attributes:
-        look: color scheme, overriding the scene's (default: light).
+        look: color scheme that overrides the color scheme of the scene (default: light).
     """
 
     look: Literal["light", "dark"] | None = None
@@ -187,7 +187,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
         return scene
 
     def from_its_begin(self) -> Self:
-        """Returns the options with a replay that starts when the recording was started."""
+        """Returns the options with --start 0, so that a replay starts when the recording began."""
         return self if self.replay is None else self.model_copy(update={"start": 0.0})
 
 
@@ -202,13 +202,13 @@ class EyeOptions(StereoOptions):
 
 
 class OverOptions(Options):
-    """A photo or video that a scene is drawn over.
+    """Options for drawing a scene over a photo or video.
 
     Attributes:
         over: draw over a photo or video of the real robot.
-        camera_file: camera of the photo or video, as YAML or TOML.
-        offset: time in the recording at which the video begins, s (default: auto, estimated from
-            the motion in both).
+        camera_file: file with the camera calibration of the photo or video, YAML or TOML.
+        offset: time in the recording at which the video begins, s; auto estimates this time from
+            the motion (default: auto).
     """
 
     title: ClassVar[str] = "drawing over photos and videos"
@@ -231,9 +231,9 @@ class RunOptions(Options):
     """Options for reading recordings of robots.
 
     Attributes:
-        scene: scene with robots and routes, for tables and recordings without them (default: as
-            recorded).
-        source: source to read (default: all).
+        scene: scene with robots and routes, for tables and for recordings without robots or routes
+            (default: the recorded scene).
+        source: source to read (default: all sources).
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
@@ -264,10 +264,10 @@ class EngineOptions(Options):
 
     Attributes:
         jobs: number of processes (default: one per core).
-        engine: local processes, or a cluster engine that `sero-mj list` names (default: local).
-        scheduler: scheduler of the cluster: tcp://HOST:PORT, its .json file, or a .toml file with a
-            dask-jobqueue table such as [slurm].
-        ship: additional file or folder that workers need; repeatable.
+        engine: `local`, or the name of a cluster engine from `sero-mj list` (default: local).
+        scheduler: scheduler of the cluster: tcp://HOST:PORT, the scheduler's .json file, or a .toml
+            file with a dask-jobqueue table such as [slurm].
+        ship: additional file or folder to send to the workers; repeatable.
     """
 
     jobs: Annotated[Count | None, Option("J")] = None
@@ -337,7 +337,7 @@ class Background(ABC):
     def viewport(
         self, mirror: Mirror, options: OverOptions
     ) -> AbstractContextManager[Callable[..., Viewport]]:
-        """Opens a camera or video; yields a function that creates the viewport that shows it."""
+        """Opens a camera or video; yields a function that creates a viewport for its images."""
 
 
 def find_background() -> Background:

@@ -55,17 +55,17 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     Attributes:
         scenario: scenario: a file or a shipped name.
         record: record every step in an MCAP file.
-        signals_rate: rate of decoded values in the recording, for other programs (0: none).
+        signals_rate: rate of decoded values in the recording for other programs, 1/s; 0 for none.
         csv: write every step to a table.
         plot: draw the torques of all joints.
         report: folder for a page that plays the run, a figure, report.json, and junit.xml for CI.
         render: render a video (.mp4, .webm, .gif) or an image (.png, .jpg, .webp).
         at: time of the image, s (default: the end).
         fps: frames per second (default: 30; GIF: 20).
-        seed: seed of the noise, overriding the scenario's.
+        seed: seed of the noise; overrides the seed in the scenario.
         settings: override a field, for example controllers.lwr.stiffness=200; repeatable.
         real_time: run no faster than real time.
-        send: send the run in real time to a source of this scene, with its structure and routes.
+        send: scene whose source receives the run in real time; sets packet layout and routes.
         overwrite: replace an existing recording.
         as_json: print the result as JSON.
         quiet: print only failed expectations.
@@ -89,7 +89,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
 
     @property
     def is_image(self) -> bool:
-        """Whether an image is rendered, not a video."""
+        """Whether the output is an image, not a video."""
         return self.render is not None and self.render.suffix.lower() not in VIDEO_FORMATS
 
     @model_validator(mode="after")
@@ -104,7 +104,10 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
 
 
 def run(options: SimulateOptions) -> int:
-    """Runs the scenario; returns 0, 1 if an expectation failed, or 130 if interrupted."""
+    """Runs the scenario.
+
+    Returns 0, 1 if an expectation failed, or 130 if the run was interrupted.
+    """
     from ..simulate.scenario_file import read_scenario
     from ..simulate.simulation import Simulation
 

@@ -38,7 +38,7 @@ It counts rejected packets by cause. The exit status is 1 if a source received n
 """
 
 _INTERVAL = 0.25  # s between updates
-_INFO_ROWS = ("state", "controller", "clock", "received", "blanked")  # the others report errors
+_INFO_ROWS = ("state", "controller", "clock", "received", "blanked")  # other rows report errors
 GROUP, ORDER = "receive", 20
 
 
@@ -48,7 +48,7 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     Attributes:
         scene: scene or recording: a file or a shipped name.
         duration: duration, s (default: until Ctrl+C).
-        topics: list the topics at an address such as ros2://, and the robots that they can move.
+        topics: list the topics at an address such as ros2://, and the robots that a topic can move.
         as_json: print only JSON, at the end.
     """
 
@@ -57,7 +57,7 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
 
 
 def run(options: StatusOptions) -> int:
-    """Shows the sources; returns 0 if every source received a valid packet, else 1."""
+    """Shows the sources; returns 0 if every source received a valid packet, otherwise 1."""
     from ..data.drive.wiring import wire
     from .opening import with_scene
 
@@ -182,7 +182,7 @@ class DegreesCheck:
         ]
 
     def check_latest(self, source: Source) -> str:
-        """Returns a warning about the latest valid packet of a source, or an empty text."""
+        """Returns a warning about the latest valid packet of a source, or an empty string."""
         latest = source.latest()
         for route, robot in self._routes:
             if latest is not None and str(route.direct) == source.name:
@@ -192,7 +192,7 @@ class DegreesCheck:
         return ""
 
     def check_recording(self, replay: FileSource) -> str:
-        """Returns a warning about packets at some positions of a recording, or an empty text."""
+        """Returns a warning about packets at some times of a recording, or an empty string."""
         is_routed = any(str(route.direct) == replay.name for route, _ in self._routes)
         if not is_routed or replay.recorded.is_unreadable:
             return ""

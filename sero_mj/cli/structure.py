@@ -39,14 +39,14 @@ class StructureOptions(JsonOptions):
 
     Attributes:
         structure: layout of a packet, e.g. 7F1M.
-        scene: explain the layouts of this scene's sources instead.
+        scene: explain the packet layouts of a scene's sources.
         float32: read F, V, M and T as float32.
         row_major: read matrices row by row.
         alignment: alignment of every item, bytes.
-        scale: factor for floating-point numbers.
-        sniff: show the packets that arrive at this port.
-        host: address to listen on (default: 127.0.0.1); 0.0.0.0 for all interfaces.
-        interface: network interface for a multicast group.
+        scale: factor by which floating-point numbers are multiplied.
+        sniff: show the packets that arrive at a UDP port.
+        host: address to listen on; 0.0.0.0 for all interfaces (default: 127.0.0.1).
+        interface: network interface on which to join a multicast group.
         duration: duration of --sniff, s (default: until Ctrl+C).
         count: number of packets after which --sniff ends.
         language: print the reference of the layout language.
@@ -79,7 +79,7 @@ class StructureOptions(JsonOptions):
 
 
 def run(options: StructureOptions) -> int:
-    """Prints a layout, the packets at a port, or the reference; returns 0."""
+    """Prints a packet layout, the packets at a port, or the layout reference; returns 0."""
     if options.scene:
         return _print_scene(options.scene, options)
     layout = None if options.structure is None else _read(options.structure, options)

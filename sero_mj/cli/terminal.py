@@ -1,6 +1,6 @@
-"""Output of commands to a terminal: text from files cannot control the terminal.
+"""Escapes the output of commands, so that text from files cannot control the terminal.
 
-Streams escape printed text. The console of rich escapes its text before it adds colors.
+Streams escape printed text. The rich console escapes text before colors are added.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class EscapedStream:
 
 
 def escape_output() -> None:
-    """Escapes all further text on standard output and standard error, tracebacks included."""
+    """Escapes all further text on standard output and standard error, including tracebacks."""
     for name in ("stdout", "stderr"):
         stream = getattr(sys, name)
         if stream is not None and not isinstance(stream, EscapedStream):

@@ -52,23 +52,23 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
     Attributes:
         scene: scene, robot or recording: a file or a shipped name (default: show a start page).
-        window: open a window on this screen (default: if there is a display).
+        window: open a window on this screen, which is the default if there is a display.
         web: serve a web page instead of opening a window.
         port: port of the page (default: the first free port from 8080).
-        host: address at which the page is served (default: 127.0.0.1, this machine only).
-        token: no effect, because pages have a token by default.
+        host: address at which the page is served (default: 127.0.0.1, only for this machine).
+        token: ignored, because pages have a token by default.
         no_token: serve the page without a token, so that all users of this machine can control it.
         no_browser: print the address of the page without opening it in a browser.
-        simulate: simulate the robots; they can be pulled, and steered by their targets.
+        simulate: simulate the robots, which users can pull or move by target poses.
         control: controller for --simulate: `gravity`, `joint`, `cartesian`, or another kind that
             needs no declared gains (default: joint).
         size: size of the window, pixels (default: 1280x800).
-        full_screen: cover the whole screen.
-        finish_films: after closing, finish the videos of recorded clips (K) instead of stopping.
+        full_screen: show the window on the whole screen.
+        finish_films: finish rendering the videos of recorded clips (key K) after closing.
         fresh: show the scene as declared instead of restoring the last view.
-        trust: allow scenarios in this folder to start programs, even if they are dropped or opened
-            from the page; repeatable.
-        over: draw over the images of a camera: its number, for example 0, an address, or a video.
+        trust: folder whose scenarios may start programs, even if a scenario is dropped on the page
+            or opened there; repeatable.
+        over: draw over camera images: a camera number such as 0, an address, or a video file.
     """
 
     scene: Annotated[str | None, positional("SCENE")] = None
@@ -90,12 +90,12 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
     @property
     def page_options(self) -> list[str]:
-        """The used options that only a page has."""
+        """Options on the command line that require a page."""
         return self.set_among("port", "host", "token", "no_token", "no_browser")
 
     @property
     def window_options(self) -> list[str]:
-        """The used options that only a window has."""
+        """Options on the command line that require a window."""
         return self.set_among("size", "full_screen", "stereo", "over")
 
     @model_validator(mode="after")
@@ -127,7 +127,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
 
 def run(options: ViewOptions) -> int:
-    """Shows a scene or the start page, and what is opened there, until it is closed; returns 0."""
+    """Shows a scene or the start page, and scenes opened from it, until closed; returns 0."""
     from .opening import with_scene
 
     for folder in options.trust:
@@ -157,7 +157,7 @@ add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:
-    """Shows the start page and scenes of one command one after another.
+    """Shows the start page and scenes one after another.
 
     Attributes:
         plain: the current scene as declared, without a simulation.
@@ -187,7 +187,7 @@ class Session:
         return self._listener
 
     def first(self) -> Mirror | None:
-        """Returns the mirror of the scene in the options; None for the start page."""
+        """Returns the mirror of the scene in the options, or None if there is no scene."""
         name, options = self.options.scene, self.options
         if name is None:
             return None
@@ -491,7 +491,7 @@ def wants_page(options: ViewOptions) -> bool:
 
 
 def command_of(options: ViewOptions) -> list[str]:
-    """Returns the scene and the options that change it, as arguments for another command."""
+    """Returns the scene and the options that modify the scene, as arguments for a command."""
     words = [str(options.scene)]
     for setting in options.settings:
         words += ["--set", setting]

@@ -113,7 +113,7 @@ class CameraFeed:
                 continue
             except (RenderError, UsageError) as error:
                 self._report(str(error).removeprefix(f"{self.what}: "))
-            except Exception as error:  # from OpenCV or FFmpeg
+            except Exception as error:  # OpenCV and FFmpeg raise any exception
                 self._report(str(error) or type(error).__name__)
             self._closing.wait(_RETRY_INTERVAL)
 

@@ -30,13 +30,13 @@ COUNTS: dict[str, tuple[int, ...]] = {
     "equidistant": (4,),
 }
 Size = tuple[int, int]
-_MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # of the maximum angle of rays from the axis
+_MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # tangent of the maximum ray angle from the axis
 _OVERSAMPLING = 1.25  # ratio of the undistorted image's resolution to the photo's
 _MAX_PIXELS = 12e6  # maximum number of pixels of the undistorted image
 _LOOKUP_COLUMNS = 320  # samples per row; pixels in between are interpolated
 _OUTSIDE = -10.0  # coordinate outside of the image
 _ROUND_TRIP_TOLERANCE = 0.1  # pixels
-_MAX_RADIUS = 20.0  # from the axis, at z = 1
+_MAX_RADIUS = 20.0  # maximum distance of rays from the axis at z = 1
 _GRID = 33  # samples along each side
 
 

@@ -40,7 +40,7 @@ from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 _MAX_DEBUG_LEVEL = 3
 _MAX_TRIANGLES = 500_000  # maximum for all shapes of a scene, without robots
 _MISSING = "no such file"
-Z_IS_UP = "z is up"  # in the WorldInfo of scenes that sero-mj writes
+Z_IS_UP = "z is up"  # stored in the WorldInfo of scenes that sero-mj writes
 # Rotates y to z; y is up in X3D.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)

@@ -40,8 +40,10 @@ from ...base.plugins import MESHES, load_plugin, plugins
 
 _BY_MUJOCO = (".stl", ".obj", ".msh")  # extensions of formats that MuJoCo reads
 _CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
-MAX_MESH_BYTES = 500_000_000  # of a file that MuJoCo reads (ten million triangles)
-MAX_CONVERTED_BYTES = 100_000_000  # of other files; conversion takes up to 30 times the memory
+MAX_MESH_BYTES = 500_000_000  # maximum size of a file that MuJoCo reads (ten million triangles)
+MAX_CONVERTED_BYTES = (
+    100_000_000  # maximum for other files; conversion takes up to 30 times the memory
+)
 _MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
 _MAX_IMAGE_BYTES = 50_000_000  # maximum size of a texture file
 _MAX_CACHE_BYTES = 150_000_000  # maximum size of cached meshes, including vertices
@@ -252,7 +254,9 @@ def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
 def _integers(text: bytes) -> Ints | None:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("error", DeprecationWarning)  # from text that is not a number
+            warnings.simplefilter(
+                "error", DeprecationWarning
+            )  # raised for text that is not a number
             numbers = np.fromstring(text, np.int64, sep=" ")
     except (DeprecationWarning, ValueError):
         return None

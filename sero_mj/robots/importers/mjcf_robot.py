@@ -171,7 +171,7 @@ def cached_tree(source: Any, folder: Path) -> MjcfTree:
 
 
 _MAX_CACHED = 8
-_cached: dict[Path, tuple[int, MjcfTree]] = {}  # by file, with its modification time
+_cached: dict[Path, tuple[int, MjcfTree]] = {}  # maps files to modification times and trees
 
 
 def _modified(file: Path) -> int:

@@ -37,7 +37,7 @@ _ALIASES: Mapping[str, str] = {
     "universalrobotsur10e": "ur10e",
     "universalrobotsur5e": "ur5e",
 }
-_ENDINGS = ("_description", "_mj_description")  # of the modules of robot_descriptions
+_ENDINGS = ("_description", "_mj_description")  # endings of module names in robot_descriptions
 _BESIDE = ("mujoco_menagerie", "menagerie")  # folders of a local clone
 _WRAPPER = """\
 <robot xmlns:xacro="http://www.ros.org/wiki/xacro" name={name}>
@@ -101,7 +101,7 @@ class RobotDescriptions(RobotPlace):
             return None
         try:
             found = import_listed("robot_descriptions", module, self.names())
-        except Exception as error:  # from git, the network or the package
+        except Exception as error:  # git, the network or the package can fail
             reason = " ".join(str(error).split())[:300]
             raise UsageError(
                 f"robot_descriptions cannot fetch {module}: {type(error).__name__}: {reason}"

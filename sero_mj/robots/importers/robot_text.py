@@ -14,7 +14,7 @@ from .toml_text import inline, toml_entry
 
 _SCHEMA = "#:schema ./robot.schema.json"
 _ZERO = 1e-15  # m, rad, kg m2: rounding
-_MAX_COLUMN_WIDTH = 60  # of a column of entries, before comments
+_MAX_COLUMN_WIDTH = 60  # maximum width of a column of entries before comments
 
 
 def robot_text(

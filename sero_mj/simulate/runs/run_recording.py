@@ -92,7 +92,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
             if recording.names_joints:
                 found = "no robot description, and no shipped robot has these joints"
             reason = f"has no robot: {found}; pass a scene"
-            raise RecordingError(path, reason)
+            raise RecordingError(path, reason, needs_scene=True)
         receivers = {name: _receiver_of(recording, name) for name in names}
         return mirrored_run(
             path, receivers, lambda name: read_events(recording, receivers[name], name), declared
@@ -197,7 +197,7 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
             if scene is not None:
                 where = scene.file or f"the scene '{scene.name}'"
                 reason = f"has a robot that is not in {where}: {error}"
-            raise RecordingError(recording.path, reason) from error
+            raise RecordingError(recording.path, reason, needs_scene=scene is None) from error
         robots[chosen.name] = chosen
     signals = with_velocities(robots, signals, times[rising])
     return RunLog(robots, signals, times[rising], recording.path.stem)
@@ -323,7 +323,8 @@ def _expanded(recording: PacketFile, groups: dict[str, Any], directory: Path) ->
         problem = found.problems[0]
         file = str(problem.file).removeprefix(f"{directory}/")
         reason = str(replace(problem, file=None if file == scene.name else file))
-        raise RecordingError(recording.path, f"its groups are invalid: {reason}; pass a scene")
+        reason = f"its groups are invalid: {reason}; pass a scene"
+        raise RecordingError(recording.path, reason, needs_scene=True)
     return found
 
 
@@ -399,7 +400,7 @@ def _built(
         file = None if model is None else paths.find_model(model)
     except (UnknownName, DeclarationError) as error:
         reason = f"its robot '{name}' is neither recorded nor installed: {error}; pass a scene"
-        raise RecordingError(recording.path, reason) from error
+        raise RecordingError(recording.path, reason, needs_scene=True) from error
     try:
         return build_robot(fields, file)
     except DeclarationError as error:

@@ -52,7 +52,7 @@ _UNITS = {
 _TORQUES = {"torques": 1, "commanded_torques": 1, "torque_error": 2, "torque_limit": 1}
 # Decimals of torques resolve this fraction of the torque at full arrow width.
 _RESOLUTION, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
-_OWN_UNIT = (("", 2), ("", 2))  # of `billboard_values` and a robot's own inputs
+_OWN_UNIT = (("", 2), ("", 2))  # for `billboard_values` and a robot's own inputs
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
     "commanded_torques": "cmd",
@@ -102,7 +102,7 @@ class Billboards(Feature):
         self._rgba = np.array([_tinted(part) for part in parts]).reshape(-1, 4)[joints.owner]
         self._widths: dict[tuple[int, int], int] = {}
 
-        self._limb_widths: dict[tuple[int, int], int] = {}  # by font and limb
+        self._limb_widths: dict[tuple[int, int], int] = {}  # maps (font, limb) to width
 
     def _formats_for(self, view: ImageView) -> Formats:
         longest = longest_name(view)

@@ -238,10 +238,10 @@ def spread_around(
 def _assign_rooms(
     centres: Array, heights: Array, gap: float, rooms: list[tuple[float, float]]
 ) -> list[int] | None:
-    # Dynamic programming over the rooms, which minimizes the total distance.
+    # Dynamic programming over the free ranges (rooms) minimizes the total distance.
     k = len(centres)
     until = np.concatenate([[0.0], np.cumsum(heights + gap)])
-    least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # of the first i intervals so far
+    least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # cost of the first i intervals so far
     firsts = []
     for bottom, top in rooms:
         away = np.maximum(

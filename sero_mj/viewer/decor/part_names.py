@@ -18,7 +18,7 @@ from .toggles import PART_NAMES
 
 _GROUPS = 3  # number of visible groups of geoms
 _LOWER = 3  # maximum distance of a label from its position, lines
-_TOUCHING = 0.01  # pixels by which labels may overlap
+_TOUCHING = 0.01  # maximum overlap of labels, pixels
 
 
 class PartNames(Feature):

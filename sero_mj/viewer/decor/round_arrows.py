@@ -34,8 +34,8 @@ POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
-INVISIBLE_WIDTH = 0.03  # in radii; narrower arrows (0.1 % of a torque limit) are not drawn
-WIDEST = 1.5  # in radii
+INVISIBLE_WIDTH = 0.03  # radii; narrower arrows (below 0.1 % of a torque limit) are not drawn
+WIDEST = 1.5  # maximum width, radii
 
 STRAIGHT_LENGTH = 2.5  # length of the straight arrow of a prismatic joint, in radii
 _Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # in radii, and in lengths

@@ -75,7 +75,7 @@ class Parts:
         """Returns the number of the part that a geom of a scene belongs to, or None for decor."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
-        if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # of `AddedSurroundings`
+        if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # the floor of `AddedSurroundings`
             return self._floor
         return self._of.get((geom.objtype, geom.objid))
 

@@ -16,7 +16,7 @@ LEVELS = 6  # number of reflections with different roughness
 _SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level
 _LAMP = 0.12  # 1 - sine of the elevation at which the lamp fades
 _HORIZON = 0.02  # width of the transition from ground to sky, sine of the elevation
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # of red, green and blue; ITU-R BT.709
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # weights of red, green and blue; ITU-R BT.709
 
 
 def linear(srgb: Array) -> Array:

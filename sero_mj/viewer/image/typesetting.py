@@ -67,7 +67,7 @@ class Typesetter:
         self._line = line
         self._size = size
         self._faces = [_face("Medium", size), _face("SemiBold", size)]
-        ascent, descent = size * 0.96875, size * 0.2412  # of Inter
+        ascent, descent = size * 0.96875, size * 0.2412  # metrics of Inter
         self._baseline = round((line + ascent - descent) / 2)
         widths = np.zeros(128)
         widths[32:127] = [self._faces[0].getlength(chr(code)) for code in range(32, 127)]

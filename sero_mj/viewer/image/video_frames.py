@@ -25,7 +25,7 @@ _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 SUBFRAMES = 8
 SHUTTER = 0.5  # exposure time, fraction of the time between two frames
 _MIN_SHIFT = 0.5  # pixels; smaller motion needs no new image
-_LEVELS = 1 << 16  # of linear light, which distinguish the darkest two of 256 levels
+_LEVELS = 1 << 16  # levels of linear light that distinguish the darkest two of 256 levels
 # Source: IEC 61966-2-1 (sRGB).
 _CODES = np.arange(256) / 255
 _LINEAR = np.where(

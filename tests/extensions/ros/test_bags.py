@@ -517,13 +517,11 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     path = write_bag(tmp_path / "shipped", {"/joint_states": states()})
     status, said, told = run(capsys, "compare", str(path), str(path))
     assert status == 0 and "fr3_joint7" in said
-    chosen = (
-        f"note: {path} does not describe its robot; showing fr3, which has the same joint names"
-    )
+    chosen = f"note: {path} does not describe its robot; using fr3, which has the same joint names"
     assert told.splitlines() == [chosen] * 2
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
-    assert status == 2 and "no shipped one has its joints" in told and "--scene SCENE" in told
+    assert status == 2 and "no shipped robot has these joints" in told and "--scene SCENE" in told
 
 
 def test_robot_is_moved_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any) -> None:
