@@ -70,7 +70,7 @@ class RobotCommand:
 
 @dataclass(frozen=True)
 class Messages:
-    """The messages of one server version, 3 to 10."""
+    """Structures of the messages of one server version, 3 to 10."""
 
     version: int
 

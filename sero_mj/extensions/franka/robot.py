@@ -87,7 +87,7 @@ class FrankaRobot(Controller):
         self._repeat_interval = _REPEAT
         self._idle_until, self._is_free = 0.0, False  # in lockstep, see `_run_in_lockstep`
         self._motor_state: Array = np.zeros((2, JOINTS))
-        self._torques: Array = np.zeros(JOINTS)  # of the last step, without gravity
+        self._torques: Array = np.zeros(JOINTS)  # torques of the last step, without gravity
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         self._step += 1

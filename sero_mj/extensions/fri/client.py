@@ -58,7 +58,7 @@ class FriClient(FriSession):
         cycle = self.cycle or timestep
         steps = self.steps_per_cycle(cycle, timestep)
         if cycle < fri.CYCLES[0] - 1e-9:
-            expected = f"{fri.CYCLES[0]} s or more: the time step is {timestep:g} s"
+            expected = f"{fri.CYCLES[0]} s or more, because the time step is {timestep:g} s"
             raise mismatch(self.cycle, expected, key="cycle")
         if self.version == "1":
             return LwrFri(self, model, timestep, steps)

@@ -345,7 +345,7 @@ def message_field(number: int, *fields: bytes) -> bytes:
 
 
 def joints_field(number: int, values: Array) -> bytes:
-    """Returns a field with a message that contains one list, with a value per joint."""
+    """Returns a field with a message that contains a list of one value per joint."""
     return message_field(
         number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value)))
     )

@@ -126,7 +126,7 @@ class JsonMcap:
             yield topic, time, raw
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
-        """Decodes a message of one of the types of ROS in `connections`."""
+        """Decodes a message. `kind` is a ROS type that occurs in `connections`."""
         return joint_state_of(raw) if kind == JOINT_STATE else SimpleNamespace(**json.loads(raw))
 
     def _of(self, channel: int) -> Iterator[tuple[int, bytes]]:

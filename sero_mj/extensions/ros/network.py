@@ -110,7 +110,7 @@ class Topic:
 
     @property
     def robots(self) -> list[str]:
-        """Shipped robots whose joint names are in the messages."""
+        """Names of shipped robots whose joint names are in the messages."""
         return robots_with(self.joints)
 
 

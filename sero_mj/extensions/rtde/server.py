@@ -42,7 +42,7 @@ log = logging.getLogger(__name__)
 CONTROLLER_VERSION = 5, 23, 0, 0  # the first one with actual_current_as_torque
 _KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
 _MAX_PEERS, _MAX_RECIPES = 16, 255
-_MAX_UNSENT = 1 << 18  # bytes that a client may leave unread
+_MAX_UNSENT = 1 << 18  # bytes; maximum amount that a client may leave unread
 # Time in s from the start to the first package. If the package arrives together with the answer to
 # the start, UR's own client does not notice it before the next one, which lockstep never sends.
 _START_DELAY = 0.02
@@ -95,7 +95,7 @@ class Peer(ABC):
         self._received = self.handle(self._received + more)
 
     def send(self, message: bytes) -> None:
-        """Sends now or as soon as the client reads; raises OSError."""
+        """Sends a message now, or as soon as the client reads; raises OSError."""
         self._unsent += message
         if len(self._unsent) > _MAX_UNSENT:
             raise ConnectionError("the client does not read")
