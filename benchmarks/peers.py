@@ -1,12 +1,12 @@
-"""Measures sero-mj beside its peers: the same work, in the same run; writes docs/peers.md.
+"""Compares the speed of sero-mj and other packages for the same tasks, and writes docs/peers.md.
 
     make peers
     .venv/bin/python benchmarks/peers.py --rounds 1 --only fk_one,control --out out/peers.md
 
-Every peer has a script in benchmarks/peers/ and an environment of its own in .peers/NAME, made on
-first use (10 GB, from PyPI). All read the same two robots, which are written as URDF. For every
-work ours and theirs take turns for some rounds, of which the median counts; where a work has a
-result, all must agree. Needs Chromium, Xvfb and a C compiler.
+Each package has a script in benchmarks/peers/ and a virtual environment in .peers/NAME, which is
+created on first use (10 GB, from PyPI). All packages read the same two robots, which are written as
+URDF. They perform each task alternately for several rounds, and the page shows the median. If a
+task has a numerical result, all results must agree. Needs Chromium, Xvfb and a C compiler.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ _BROWSER = [
 
 @dataclass(frozen=True)
 class Peer:
-    """A script of benchmarks/peers/, and what it needs from PyPI; nothing: it runs beside ours."""
+    """A script of benchmarks/peers/ and its packages from PyPI; none if it needs only sero-mj."""
 
     title: str
     environment: str = ""
@@ -83,17 +83,17 @@ PEERS = {
 
 @dataclass(frozen=True)
 class Work:
-    """What is measured: its heading, what exactly is done, by whom."""
+    """A measured task: heading, description and scripts that perform it."""
 
     title: str
     does: str
     peers: tuple[str, ...]
     unit: str = "s"  # or "times mj_step", "packets/s"
-    why: dict[str, str] = field(default_factory=dict)  # a peer may be faster
-    names: dict[str, str] = field(default_factory=dict)  # of peers, where others than above
+    why: dict[str, str] = field(default_factory=dict)  # reasons why a package is faster
+    names: dict[str, str] = field(default_factory=dict)  # titles that override those of `PEERS`
 
 
-_ARRAYS = "sero-mj calls the same functions, checks the length of its input and returns a new array"
+_ARRAYS = "sero-mj calls the same functions, checks its input and returns a new array"
 _PINOCCHIO = (
     "it computes only the frames of the joints. MuJoCo, which sero-mj uses, also computes axes, "
     "quaternions and inertial frames of all links"
@@ -237,7 +237,7 @@ WORKS = {
     ),
 }  # fmt: skip
 LEFT_OUT = (
-    ("Time to the first image with rerun", "its page does not signal it"),
+    ("Time to the first image with rerun", "its page does not signal when it has rendered"),
     (
         "Packet to pixel with viser and MeshCat",
         "neither receives packets, so this would measure our own code",
@@ -246,7 +246,7 @@ LEFT_OUT = (
 
 
 def prepare() -> None:
-    """Writes the robots that all read: one LWR, and 51 joints as Rollin' Justin's chains."""
+    """Writes the robots that all packages read: an LWR, and a robot with 51 joints."""
     FOLDER.mkdir(parents=True, exist_ok=True)
     for joints in (7, 51):
         world = make_world(WORLDS[joints])
@@ -264,10 +264,10 @@ def prepare() -> None:
 
 
 def python_of(peer: Peer) -> str:
-    """The interpreter of a peer, in an environment that has what it needs.
+    """Returns the interpreter of a package's environment, which is created if necessary.
 
     Raises:
-        RuntimeError: pip could not install it; its last line.
+        RuntimeError: pip failed; contains the last line of its output.
     """
     if not peer.environment:
         return sys.executable
@@ -285,11 +285,11 @@ def python_of(peer: Peer) -> str:
 
 
 def run(name: str, work: str, browser: Any) -> Iterator[dict[str, Any]]:
-    """Does a work by a peer; gives what it tells.
+    """Performs a task with a package, and yields the measurements that its script prints.
 
     Raises:
-        RuntimeError: it failed; its last line.
-        OSError: a program that it needs is missing.
+        RuntimeError: the script failed; contains the last line of its output.
+        OSError: a required program is missing.
     """
     command = [python_of(PEERS[name]), str(HERE / "peers" / f"{name}.py"), str(FOLDER), work]
     is_window = work.startswith("show_window")
@@ -332,10 +332,10 @@ def run(name: str, work: str, browser: Any) -> Iterator[dict[str, Any]]:
 
 
 def open_page(browser: Any, url: str, until: str) -> Any:
-    """A page of the browser, when a function of it is true.
+    """Opens a page, and returns it as soon as the JavaScript condition `until` is true.
 
     Raises:
-        RuntimeError: it never is.
+        RuntimeError: the page cannot be opened, or the condition does not become true in time.
     """
     from playwright.sync_api import Error
 
@@ -352,25 +352,25 @@ def open_page(browser: Any, url: str, until: str) -> Any:
 
 @dataclass
 class Row:
-    """What a peer took for a work, in every round; or why it could not be measured."""
+    """The times of a package for a task, one per round, or the reason why there are none."""
 
     title: str
     seconds: list[float] = field(default_factory=list)
-    slow: list[float] = field(default_factory=list)  # of 100 calls, one takes longer
+    slow: list[float] = field(default_factory=list)  # 99th percentile of a call, s
     version: str = ""
     problem: str = ""
 
     @property
     def median(self) -> float:
-        """Of all rounds."""
+        """Median time of all rounds, s."""
         return float(np.median(self.seconds))
 
 
 def measure(key: str, rounds: int, browser: Any) -> dict[str, Row]:
-    """A row for everyone who does a work, taken in turns.
+    """Measures a task with all of its packages alternately; returns one row per package.
 
     Raises:
-        SystemExit: two have other results.
+        SystemExit: the numerical results differ.
     """
     work, rows, results = WORKS[key], {}, {}
     for _ in range(1 if key == "packets" else rounds):
@@ -394,12 +394,12 @@ def measure(key: str, rounds: int, browser: Any) -> dict[str, Row]:
     scale = float(np.abs(ours).max(initial=1.0))
     for name, result in results.items():
         if ours.size and result.size and not np.allclose(result, ours, rtol=0, atol=AGREE * scale):
-            raise SystemExit(f"{key}: {name} found {result}; expected {ours}, as ours")
+            raise SystemExit(f"{key}: {name} found {result}; expected {ours}, as sero-mj")
     return {name: row for name, row in rows.items() if row.seconds or row.problem}
 
 
 def text_of(seconds: float, unit: str) -> str:
-    """A time for people, or a rate."""
+    """Formats a time with a suitable unit, or a rate."""
     if unit == "packets/s":
         return f"{1.0 / seconds:,.0f}/s"
     if unit != "s":
@@ -412,7 +412,7 @@ def text_of(seconds: float, unit: str) -> str:
 
 
 def table_of(key: str, rows: dict[str, Row]) -> str:
-    """A section of the page."""
+    """Returns the section of the page for a task."""
     work = WORKS[key]
     is_ours = [name for name in rows if name == "ours" or name.startswith("UdpReceiver")]
     reference = rows[is_ours[-1]] if is_ours else None
@@ -440,7 +440,7 @@ def table_of(key: str, rows: dict[str, Row]) -> str:
 
 
 def machine() -> str:
-    """Processor, cores and system."""
+    """Returns a description of processor, cores and system."""
     about = Path("/proc/cpuinfo").read_text() if Path("/proc/cpuinfo").exists() else ""
     names = [line.partition(":")[2].strip() for line in about.splitlines() if "model name" in line]
     name = names[0] if names else platform.processor() or platform.machine()
@@ -450,12 +450,12 @@ def machine() -> str:
 
 
 def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]) -> str:
-    """The page: what was measured, on what, with which versions.
+    """Returns the page in Markdown.
 
     Args:
-        found: rows of every work.
-        rounds: how many of them there were.
-        busy: the least and the greatest load average of the machine meanwhile.
+        found: rows of all tasks.
+        rounds: number of rounds.
+        busy: minimum and maximum load average of the machine during the measurement.
     """
     versions = sorted(
         {row.version for rows in found.values() for row in rows.values() if row.version}
@@ -481,14 +481,16 @@ long. The last column is the ratio to the value of sero-mj.
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--only", help=f"of {', '.join(WORKS)}; separated by commas")
+    parser.add_argument("--only", help=f"tasks, separated by commas: {', '.join(WORKS)}")
     parser.add_argument("--out", type=Path, default=ROOT / "docs" / "peers.md")
     options = parser.parse_args()
     keys = options.only.split(",") if options.only else list(WORKS)
     if unknown := set(keys) - set(WORKS):
-        parser.error(f"--only: found {', '.join(sorted(unknown))}; expected of {', '.join(WORKS)}")
+        parser.error(
+            f"--only: found {', '.join(sorted(unknown))}; expected names of {', '.join(WORKS)}"
+        )
     if options.only and options.out == ROOT / "docs" / "peers.md":
-        parser.error("--only: the page in docs has all works; name another one with --out")
+        parser.error("--only: docs/peers.md contains all tasks; choose another file with --out")
     from playwright.sync_api import sync_playwright
 
     prepare()

@@ -47,7 +47,7 @@ def captured(
         opacity=np.ones((frames, len(bodies))), grey=np.zeros((frames, len(bodies)), bool),
         values={}, arrows=nothing, limit=np.full(n, np.inf),
         stale=np.zeros((frames, n), bool), soft=soft_of(soft), items=[],
-        labels=[{}] * frames, notes=[""] * frames, legend=[""] * frames, cards={},
+        labels=[{}] * frames, notes=[""] * frames, legend=[""] * frames, arrow_texts={},
     )  # fmt: skip
 
 

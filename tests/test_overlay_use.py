@@ -125,7 +125,7 @@ def test_invalid_drawing_target_is_rejected(overlay: Any, target: Any, reason: s
 
 
 def test_scene_without_a_camera_is_rejected(overlay: Any) -> None:
-    needed = "call update_scene before draw, or give draw a camera"
+    needed = "call update_scene first, or pass a camera to draw"
     with raises_with(UsageError, reason=f"the scene has no camera yet: {needed}"):
         overlay.draw(mujoco.MjvScene(overlay.model, maxgeom=100))
 

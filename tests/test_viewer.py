@@ -29,8 +29,8 @@ from sero_mj.viewer.program.viewer import Viewer, _to_show
         ("lwr", {"full_screen": True}, "full_screen: found true; it is for a window"),
         ("lwr", {"port": "80"}, "port '80': expected 1 to 65535"),
         ("lwr", {"camera": 5}, "camera: found 5; expected a name or azimuth,elevation,distance"),
-        ("lwr", {"web": False, "port": 8080}, "port: found 8080; it is for a page"),
-        ("lwr", {"web": False, "host": "::"}, "host: found '::'; it is for a page"),
+        ("lwr", {"web": False, "port": 8080}, "port: found 8080; only web pages have"),
+        ("lwr", {"web": False, "host": "::"}, "host: found '::'; only web pages have"),
     ],
 )
 def test_unsupported_options_are_rejected(
@@ -59,7 +59,7 @@ def test_overlay_has_the_look_of_its_model() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
     with pytest.raises(
-        UsageError, match="look: found 'dark'; an overlay has the look of its model"
+        UsageError, match="look: found 'dark'; the look of an overlay is that of its model"
     ):
         sero_mj.view(overlay, web=True, look="dark")
 

@@ -14,21 +14,17 @@ scene = sero_mj.Scene(
     sources={"udp": sero_mj.UdpReceiver(structure="7F7F", udpport=32123)},
     routes={"lwr.joint_angles": "udp.values0", "lwr.torques": "udp.values1"},
 )
-stop = threading.Event()
 
 
 def send() -> None:
     """Your control loop: 7 joint angles (rad) and 7 torques (Nm) per cycle."""
     packet = struct.pack("<14d", 0, 0.6, 0, -1.2, 0, 1.2, 0, 0, -60, 5, 35, 0, -8, 0)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
-        while not stop.is_set():
+        while True:
             sender.sendto(packet, ("127.0.0.1", 32123))
             time.sleep(0.01)
 
 
-thread = threading.Thread(target=send)
-thread.start()
+threading.Thread(target=send, daemon=True).start()
 silent = sero_mj.render_image(scene, "00_mirror.webp", size=(640, 400))
-stop.set()
-thread.join()
 print("sources without data:", silent)

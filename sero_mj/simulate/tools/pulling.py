@@ -147,7 +147,10 @@ class Pulling(Tool):
             return f"saved {path.name}; sero-mj plot {path.name} plots it"
         path = save_pushes(run, folder)
         self._exports.add_page(path.with_suffix(".mcap"))
-        return f"saved {path.name}, which repeats the pushes, and the run, {path.stem}.mcap"
+        return (
+            f"saved the scenario {path.name}, which repeats the pushes, and the recording "
+            f"{path.stem}.mcap"
+        )
 
     def next_message(self) -> tuple[str, bool] | None:
         return self._exports.advance()

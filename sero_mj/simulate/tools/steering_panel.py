@@ -63,7 +63,7 @@ class SteeringPanel:
         if name in self._refused:
             ui.text(self._refused[name], "bad")
         if not robot.controller.needs_target:
-            ui.text("stays where it is released: Ctrl+drag pulls a link", "quiet")
+            ui.text("this controller has no target: Ctrl+drag pulls a link", "quiet")
             return
         self._target(ui, name)
 

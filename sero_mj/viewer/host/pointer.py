@@ -56,7 +56,7 @@ class Pointer:
 
     Attributes:
         at: pixel of the pointer; None outside the image.
-        dragging: handles drags and wheel events.
+        dragging: handler of drags and wheel events.
         on_click: called with the clicked item and the gesture.
     """
 

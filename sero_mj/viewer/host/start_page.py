@@ -1,4 +1,4 @@
-"""`StartPage`: recent views, shipped scenes and robots, and expected packets.
+"""`StartPage`: lists recent views, shipped scenes and robots, and expected packets.
 
 `window/start_window.py` and `web/start_host.py` display it.
 """
@@ -310,7 +310,7 @@ class StartPage:
         return not self._wanted.empty()
 
     def open_next(self, patience: float) -> bool:
-        """Opens the next requested view or file; returns whether something is open.
+        """Opens the next requested view or file; returns whether a scene is now open.
 
         Args:
             patience: time to wait for a request, s.

@@ -12,7 +12,7 @@ from ..session.widgets import Widgets
 
 HELP_TITLE = "Mouse and keys"
 REQUEST_TITLE = "This file requests to run programs"
-# Widths in text heights; a narrower help has its columns below each other.
+# Widths in text heights. A narrower help shows the columns one below the other.
 HELP_WIDTH, REQUEST_WIDTH = 56.0, 34.0
 _INPUT = 9.6  # width of the column of keys, in text heights
 _MAX_SHOWN = 2000  # characters of an action

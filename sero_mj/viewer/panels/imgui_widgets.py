@@ -20,10 +20,10 @@ _LIMIT: Rgb = (0.85, 0.30, 0.30)
 _GRAB = 0.6  # width of a slider's knob, in text heights
 _EDGE = 2.0  # distance of the knob from the slider's ends, pixels
 _TICK = 0.28  # height of the marks at the slider's edges, of its height
-_BESIDE = 0.9  # margin of a plot for the last number of its axis, in text heights
+_BESIDE = 0.9  # margin of a plot for the last number of the axis, in text heights
 _LINE = 1.75  # width of lines, pixels
-# The text of a mark is shown within this fraction of the slider's length, and this long after it,
-# s.
+# The text of a mark is shown within this fraction of the slider's length around the mark, and for
+# this time after the mark, s.
 _NEAR, _AFTER = 0.012, 1.0
 _TIP = 22.0  # maximum width of a tooltip, in text heights
 

@@ -104,7 +104,7 @@ class RobotPanel:
                 self._check(ui, "arrow values", toggles.cards, slice(None))
             if ui.button("reset"):
                 self._reset()
-            ui.tip("reset switches and sizes to those of the scene")
+            ui.tip("reset switches and sizes to the values in the scene")
 
     def _found(self, ui: Widgets) -> None:
         wanted = self._wanted.lower()

@@ -28,7 +28,7 @@ _NOTE = 2.2  # height of the text that replaces the plot of the error
 
 
 class TorquePlots:
-    """Plots the history of one joint, with its limits."""
+    """Plots the torque history of one joint, with the limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval

@@ -17,7 +17,7 @@ from ..session.widgets import Widgets
 Value = TypeVar("Value")
 
 TOOL = "user_panels"  # the tool that shows the widgets
-_WIDTH = 9.0  # of sliders and fields, in text heights
+_WIDTH = 9.0  # width of sliders and fields, in text heights
 _DIGITS = 7  # significant digits of a slider's value, which is a float32
 
 

@@ -364,8 +364,8 @@ def _lines(
 ) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
     """Returns the billboard lines of each joint, and the lines with all values of each joint.
 
-    If torques are available, a single line with the angle or torque shows the quantity of the
-    arrow: torque or torque error.
+    If torques are available, a billboard that by default has only one line, with the angle or the
+    torque, shows the quantity of the arrow instead: torque or torque error.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)

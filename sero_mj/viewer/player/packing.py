@@ -30,7 +30,7 @@ class PackedArrays:
         return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
 
     def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
-        """Adds channels (F, C) as differences in time, in multiples of `step`."""
+        """Adds the channels of F frames, shape (F, C), as differences in multiples of `step`."""
         whole = np.round(numbers / step).astype(np.int64)
         differences = np.diff(whole, axis=0, prepend=0).T
         return self.put(unsigned(folded(differences)))

@@ -34,7 +34,7 @@ _pack = struct.Struct("dd").pack
 
 
 class SharedArrays:
-    """Arrays of float64 in memory that two processes share; one of them writes each array.
+    """Arrays of float64 in memory that two processes share. Only one process writes each array.
 
     Each array has the number of writes and a checksum over both. A reader ignores an array whose
     checksum does not match, because it is being written, and reads it the next time. No lock is
@@ -138,7 +138,7 @@ class ViewerMemory(Protocol):
 
 
 class SceneMemory:
-    """The inputs of a scene, and its displayed state.
+    """The inputs of a scene, and the displayed state.
 
     Each input is an array, so that only the inputs that the user sets are sent. The scene's sources
     set all other inputs. The values of all inputs are sent back, except for inputs that the user
@@ -212,7 +212,7 @@ class SceneMemory:
 
 
 class OverlayMemory:
-    """The state of a user's model, and the inputs of its overlay."""
+    """The state of a user's model, and the inputs of the overlay."""
 
     def __init__(self, world: ModelWorld, path: Path | None = None) -> None:
         self._world, self.data, self.is_read = world, world.data, False

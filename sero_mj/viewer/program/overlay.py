@@ -136,7 +136,7 @@ class Overlay:
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
         elif not scene.camera[0].frustum_near > 0:
             raise UsageError(
-                "the scene has no camera yet: call update_scene before draw, or give draw a camera"
+                "the scene has no camera yet: call update_scene first, or pass a camera to draw"
             )
         self.check_frames()
         self._drawn = self._decor

@@ -63,7 +63,7 @@ class _Program:
         self.is_shown = False
         self._process = os.getppid()
         self.messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
-        # Messages use a copy of the standard output; printed text goes to the standard error.
+        # Messages use a copy of the standard output. Printed text goes to the standard error.
         self._out = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
         self._sending = threading.Lock()

@@ -58,7 +58,7 @@ class Viewer:
     A viewer can be used as a context manager.
 
     Attributes:
-        urls: all addresses of the page, including those for other machines; empty for a window.
+        urls: all addresses of the page, including addresses for other machines; empty for a window.
         url: address of the page for browsers on this machine; None for a window.
     """
 
@@ -343,7 +343,7 @@ def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
     """Serves a web page of a mirror.
 
     Raises:
-        RenderError: the page cannot be served there.
+        RenderError: the page cannot be served at this address and port.
         UnknownName: there is no camera with this name.
     """
     from ..web.host import WebHost

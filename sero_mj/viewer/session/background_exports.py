@@ -67,7 +67,10 @@ class BackgroundExports:
         return f"{kind} {path.name} failed: {reason}", True
 
     def close(self, *, finish: bool) -> None:
-        """Finishes all files (Ctrl+C cancels), or cancels them. Logs commands of canceled files."""
+        """Cancels all files and logs the commands that create them.
+
+        With `finish`, first waits until all files are finished or the user presses Ctrl+C.
+        """
         if finish:
             with contextlib.suppress(KeyboardInterrupt):
                 self.advance()

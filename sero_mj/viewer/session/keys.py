@@ -40,7 +40,7 @@ VIEWER_KEYS: dict[str, Key] = {
     "f11": Key("full_screen", "full screen"),
     "h": Key("help", "this help"),
 }
-# Keys that browsers handle themselves.
+# Keys that are left to the browser.
 _OF_BROWSER = ("tab", "f11")
 # Alternative keys, which the help does not list.
 MORE_KEYS: dict[str, Key] = {

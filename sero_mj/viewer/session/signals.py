@@ -70,7 +70,9 @@ class PlotSignals:
         return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
 
     def follow(self, wanted: Collection[PlotSignal]) -> bool:
-        """Stores histories of the wanted signals only, and of torques and a program's signals.
+        """Sets the signals whose histories are stored.
+
+        Histories of torques and of a program's signals are always stored.
 
         Returns:
             whether there are new signals, for which `watch` should be called for past times.

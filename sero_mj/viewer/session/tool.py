@@ -105,7 +105,7 @@ class Grab(NamedTuple):
 
     Attributes:
         text: message for the user.
-        is_refused: whether the text explains why nothing can be dragged there.
+        is_refused: whether nothing can be dragged, and the text explains why.
     """
 
     text: str
@@ -113,7 +113,7 @@ class Grab(NamedTuple):
 
 
 class PointerEvents:
-    """The pointer events of a tool; pixels are those of the image, y up."""
+    """The pointer events of a tool. Pixels refer to the image, with y up."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
         """Handles a click; returns a message for the user, or None to pass the click on."""
@@ -210,7 +210,7 @@ class Tool(PointerEvents, ToolState):
 
     @property
     def active(self) -> Collection[str]:
-        """Names of the actions that are switched on, which menus mark."""
+        """Names of the actions that are currently on; menus mark these actions."""
         return ()
 
     def help_rows(self) -> Sequence[Row]:

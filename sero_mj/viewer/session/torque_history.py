@@ -99,7 +99,7 @@ class TorqueHistory:
         """Returns the torques of a joint, oldest first.
 
         Args:
-            points: see `BinnedHistory.until`.
+            points: approximate maximum number of samples, see `BinnedHistory.until`.
 
         Returns:
             times (k,), s, relative to the newest time (0 or negative), and values (3, k):

@@ -52,7 +52,7 @@ class ViewState(NamedTuple):
     time: float | None = None
 
     def to_text(self) -> str:
-        """Returns one line of JSON, without fields that have the default."""
+        """Returns one line of JSON, without the fields that have their default values."""
         found = {
             name: value for name, value in self._asdict().items() if value not in ("", {}, None)
         }

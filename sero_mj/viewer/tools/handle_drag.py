@@ -1,4 +1,4 @@
-"""The pose of a frame whose handle is dragged."""
+"""Computes the pose of a frame whose handle is dragged."""
 
 from __future__ import annotations
 

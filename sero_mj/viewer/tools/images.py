@@ -70,7 +70,7 @@ class Images(Tool):
 
 
 class CopyCommand(Tool):
-    """Copies the command that renders the displayed image, with Ctrl+C."""
+    """The action of Ctrl+C, which copies the command that renders the displayed image."""
 
     order: ClassVar[int] = 85
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {

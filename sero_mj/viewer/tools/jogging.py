@@ -1,4 +1,4 @@
-"""`Jogging`: moves robots that have no data with sliders, typed poses and dragged links.
+"""`Jogging`: lets the user move robots without data, by sliders, typed poses and dragged links.
 
 The displayed angles approach the requested ones smoothly. If no torques are received either, the
 torques that hold the robot against gravity are computed from its model and displayed.
@@ -28,7 +28,7 @@ _LED = 1.0  # s; a program that sets angles at shorter intervals is in control o
 
 
 class Jogging(Tool):
-    """Moves the robots of a mirror that have no data.
+    """Lets the user move the robots without data.
 
     Attributes:
         goals: mapping from the names of robots without data to their joint goals.

@@ -40,13 +40,13 @@ class WebHost(LiveHost):
         camera: initial camera, see `find_camera`.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
-        token: see `PageServer`.
+        token: token of the page, see `PageServer`.
         waits: whether recordings and simulations start when the first browser connects.
         folder: directory of saved files, see `LiveHost`.
 
     Raises:
-        RenderError: the page cannot be served there.
-        UnknownName: there is no camera of that name.
+        RenderError: the page cannot be served at this address and port.
+        UnknownName: there is no camera with this name.
     """
 
     def __init__(
@@ -69,7 +69,9 @@ class WebHost(LiveHost):
         self._sections = Sections()
         self._state = PageState(world, self._sections)
         self._use(self.decor)
-        self.decor.add(self._state)  # the last feature: it captures what the others have drawn
+        self.decor.add(
+            self._state
+        )  # must be the last feature, because it captures what all others have drawn
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
         self.actions.add(

@@ -25,7 +25,7 @@ _TALL = 400.0  # height of a panel, which scrolls
 
 
 class PagePanels:
-    """Builds the panels of a page and puts them into its sections."""
+    """Builds the panels of a page and puts them into the sections of the page."""
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections

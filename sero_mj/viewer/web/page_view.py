@@ -40,7 +40,7 @@ class PageView:
         return ImageView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
-        """Sets the camera to that of the browser in control, which does not receive it again.
+        """Sets the camera that the browser in control has sent, without sending it back.
 
         Args:
             fixed: index of a scene camera; -1 for a free camera.

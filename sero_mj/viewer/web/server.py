@@ -79,7 +79,7 @@ class PageServer:
         token: token of the page; True to create a token, False for none.
 
     Raises:
-        RenderError: the page cannot be served there.
+        RenderError: the page cannot be served at this address and port.
         UsageError: a page for other machines has no token.
     """
 

@@ -1,4 +1,4 @@
-"""`StartHost`: the start page as a web page."""
+"""`StartHost`: serves the start page as a web page."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ class StartHost:
         listening: monitor of the ports of sources.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
-        token: see `PageServer`.
+        token: token of the page, see `PageServer`.
 
     Raises:
-        RenderError: the page cannot be served there.
+        RenderError: the page cannot be served at this address and port.
     """
 
     def __init__(

@@ -66,7 +66,7 @@ class Drops:
         """Returns a new folder for a drop; deletes drops that are not shown if space is needed.
 
         Raises:
-            UsageError: the drops that are shown or being received leave too little space.
+            UsageError: there is not enough space beside drops that are shown or being received.
         """
         with self._lock:
             while not self._has_space(files, size):

@@ -184,7 +184,7 @@ class Chrome(ImguiLayer):
         return shown, bool(is_open)
 
 
-# Heights of status line and timeline; these and all lengths below in lines of the window's text.
+# Heights of status line and timeline. All lengths below are in lines of the window's text.
 _STATUS, _TIME = 1.6, 1.3
 _AREA_SHARE = 0.34  # fraction of the width for the area beside the image
 _STRIP_SHARE = 0.36  # fraction of the height for the area below the image, in a narrow window

@@ -1,4 +1,4 @@
-"""`GlWindow`: a GLFW window with its events and OpenGL contexts."""
+"""`GlWindow`: a GLFW window, including input events and OpenGL contexts."""
 
 from __future__ import annotations
 
@@ -134,9 +134,9 @@ class GlWindow:
         return spread_times(events, last, self._polled)
 
     def typesetter_of(self, width: int, height: int) -> Typesetter:
-        """Returns the typesetter of panels in an image of a size in pixels.
+        """Returns the typesetter of panels in an image with this size in pixels.
 
-        The text is at least as large as that of the window.
+        The text is at least as large as the text of the window.
         """
         line = max(line_height(self._world, width, height), self.typesetter.font.height)
         if line != self._of_image.font.height:

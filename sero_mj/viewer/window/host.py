@@ -30,7 +30,7 @@ _SAME_VIEW = 1e-6  # tolerance of position, m, and direction of the camera
 
 
 class Pace:
-    """Reduces the quality of frames while the user acts, if rendering is slow.
+    """Decides when to reduce the quality of frames: during motion and input, if rendering is slow.
 
     Attributes:
         slow: duration above which a full-quality frame is slow, s.
@@ -65,7 +65,7 @@ class Window(LiveHost):
 
     Raises:
         RenderError: there is no display, no OpenGL or no Dear ImGui.
-        UnknownName: there is no camera of that name.
+        UnknownName: there is no camera with this name.
     """
 
     decor: Viewport

@@ -93,7 +93,7 @@ class ImguiLayer:
         if is_press:
             io.add_mouse_button_event(event.button, True)
         elif was_held:
-            # A dragged widget first moves to where the button was released.
+            # A dragged widget first moves to the position at which the button was released.
             self._released.append(event.button)
         return is_press or was_held
 
