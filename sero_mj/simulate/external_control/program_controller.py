@@ -87,7 +87,7 @@ class Reachable(ControllerDeclaration):
 
     @property
     def peer(self) -> str:
-        """Name of the program in the action that the user is asked to allow."""
+        """Name of the program in the action that the user must allow."""
         return f"{self.host}:{self.port}"
 
     def actions(self, key: str = "") -> list[RequestedAction]:
