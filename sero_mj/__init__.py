@@ -2,8 +2,8 @@
 
 Conventions in this package:
 
-- Units are SI: m, rad, s, kg, N, Nm. A name includes its unit only if it is a different one
-  (`azimuth_deg`).
+- Units are SI: m, rad, s, kg, N, Nm. A name includes the unit only if the unit is not an SI
+  unit (`azimuth_deg`).
 - Frames are 4x4 row-major numpy arrays, float64. `T_a_b` maps coordinates of b to a, so
   `T_world_flange[:3, 3]` is the position of the flange. Quaternions are w, x, y, z. Roll, pitch and
   yaw rotate about the fixed x, y and z axes, as in URDF. The z axis of the world points up.

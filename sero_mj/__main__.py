@@ -14,7 +14,7 @@ _GC_THRESHOLD = 50_000
 def main() -> None:
     """Runs the command line; Ctrl+C ends it without a traceback, also during imports.
 
-    SIGTERM and a closed terminal do the same, so that no files remain half-written.
+    SIGTERM and a closed terminal have the same effect, so that no files remain half-written.
     """
     gc.set_threshold(_GC_THRESHOLD)
     for ending in _ENDING:

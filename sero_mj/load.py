@@ -38,23 +38,23 @@ def load_scene(
 ) -> Scene:
     """Loads and checks a scene without opening its sources.
 
-    For a robot or a group of robots, the scene contains only this. For a scenario, the scene
-    simulates it while it is shown. If a scenario requests programs and is not trusted, the scene is
-    not simulated, and `scene.withheld` contains the request.
+    For a robot or a group of robots, the scene contains nothing else. For a scenario, the scene
+    simulates the scenario while it is shown. If a scenario requests programs and is not trusted,
+    the scene is not simulated, and `scene.withheld` contains the request.
 
     Args:
         name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
-        overrides: values by `robot.field` that replace those of the file. An input that is set
-            this way (`lwr.joint_angles`) has no route.
+        overrides: mapping from `robot.field` to values that replace the values of the file. An
+            input that is overridden (`lwr.joint_angles`) has no route.
         by_hand: whether users can pull the robots of a scenario in a window or on a page.
-        trusted: whether a scenario may start the programs and load the libraries that it names.
+        trusted: whether a scenario may start programs and load libraries.
             Pass True only for a file that the user has chosen to simulate, see `base.trust`.
-        replay: a recording of the scenario, which is played instead of a simulation.
+        replay: recording of the scenario to play instead of simulating.
 
     Raises:
         UnknownName: there is no such file or shipped name.
-        DeclarationError: the file has errors; contains all of them.
-        UsageError: `overrides` names another robot than the loaded one.
+        DeclarationError: the file has errors; the exception contains all errors.
+        UsageError: `overrides` contains a robot other than the loaded robot.
     """
     name, overrides = str(name), dict(overrides or {})
 
@@ -108,12 +108,12 @@ def _checked(scene: Scene, problems: list[Problem]) -> Scene:
 
 
 def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialRobot:
-    """Loads a robot; `overrides` has values by `robot.field` that replace those of the file.
+    """Loads a robot; `overrides` maps `robot.field` to values that replace values of the file.
 
     Raises:
         UnknownName: there is no such robot.
-        DeclarationError: the file or `overrides` has errors; contains all of them.
-        UsageError: the name is that of a group of robots.
+        DeclarationError: the file or `overrides` has errors; the exception contains all errors.
+        UsageError: `name` is the name of a group of robots.
     """
     fields: dict[str, Any] = {}
     wrong: list[Problem] = []

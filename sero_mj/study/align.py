@@ -38,11 +38,11 @@ class Shift:
 
 
 def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
-    """Estimates the shift of the times of `b` from the velocities of all joints.
+    """Estimates the time shift of motion `b` from the velocities of all joints.
 
     The shift maximizes the normalized cross-correlation over overlaps of at least 30 % of the
     shorter motion, refined by a parabola through the highest three values. Times have the shape
-    (T,), angles (T, n). Returns None if one of them hardly moves.
+    (T,), angles (T, n). Returns None if the robot hardly moves in a run.
     """
     spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
     if min(spans) <= 0.0:
@@ -118,8 +118,8 @@ class Pair:
     Attributes:
         robot: robot as declared in the first run.
         times: times on the clock of the first run, shape (T,), s.
-        a: values of the first run by signal, shape (T, n), NaN if unknown.
-        b: values of the second run by signal.
+        a: mapping from signals to values of the first run, shape (T, n), NaN if unknown.
+        b: mapping from signals to values of the second run, shape (T, n), NaN if unknown.
         offset: offset that was added to the times of the second run, s.
         correlation: correlation of the motions if the offset was estimated, else None.
         names: names of the two runs.
@@ -143,14 +143,14 @@ class Pair:
 
     @property
     def has_one_motion(self) -> bool:
-        """Whether the runs have the same motion by definition, such as a robot and its model."""
+        """Whether the runs have the same motion by definition, as for a robot and its model."""
         return self.a.get("joint_angles") is self.b.get("joint_angles")
 
 
 def align(
     a: RunLog, b: RunLog, robot: str | None = None, offset: float | Literal["auto"] = 0.0
 ) -> Pair:
-    """Resamples two runs at common times, which are those of the run with the higher rate.
+    """Resamples two runs at common times, which are the times of the run with the higher rate.
 
     Values are interpolated linearly, except across gaps.
 
@@ -200,7 +200,7 @@ def align(
 
 
 def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
-    """Pairs the commanded with the measured torques of a robot; None for the only robot.
+    """Pairs the commanded and measured torques of a robot; `robot` is None for the only robot.
 
     Raises:
         UsageError: there is no such robot, the robot is ambiguous, or torques are missing.
@@ -224,10 +224,10 @@ def pair_with_commands(log: RunLog, robot: str | None = None) -> Pair:
 
 
 def choose_robot(log: RunLog, name: str | None) -> str:
-    """Returns the name of a robot in a run, or of the only robot for None.
+    """Returns the name of a robot in a run; `name` is None for the only robot.
 
     Raises:
-        UsageError: there is no such robot, or None is ambiguous.
+        UsageError: there is no such robot, or `name` is None and there are several robots.
     """
     if name is not None and name not in log.robots:
         where, known = f"in {log.name}", log.robots
@@ -244,7 +244,8 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
     `name` is `NAME`, `NAME,NAME`, or None for the only common robot.
 
     Raises:
-        UsageError: there is no such robot, None is ambiguous, or the numbers of joints differ.
+        UsageError: there is no such robot, the only common robot is
+            ambiguous, or the numbers of joints differ.
     """
     if name is not None:
         in_a, _, in_b = name.partition(",")
@@ -293,7 +294,7 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
 
 
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
-    """Interpolates values (T, n) linearly at increasing times; returns NaN in gaps and outside."""
+    """Interpolates values (T, n) linearly at increasing times; NaN in gaps and outside `times`."""
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)

@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 _MAX_RATE = 240.0  # rows per second; above the frame rate of videos
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
-# For robots with more joints, tables show only those that differ most; files contain all.
+# For robots with more joints, tables show only the joints that differ most; files contain all.
 MANY_JOINTS, MAX_SHOWN = 24, 12
 _IN_TABLE = ("joint_angles", "torques")  # the JSON contains all signals
 
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference of one signal of one joint: first run minus second.
+    """The difference between two runs in one signal of one joint: first run minus second run.
 
     Attributes:
         signal: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
@@ -89,7 +89,7 @@ def unit_of(signal: str, joint_type: str) -> str:
 
 
 def one_unit(units: Iterable[str]) -> str:
-    """Returns the common unit, or an empty text if units differ."""
+    """Returns the common unit, or an empty string if units differ."""
     first, *others = dict.fromkeys(units)
     return "" if others else first
 
@@ -104,8 +104,8 @@ def _difference(joint: str, signal: str, unit: str, times: Array, values: Array)
 def differ_most(pair: Pair) -> list[str]:
     """Returns the names of the joints to show, in order.
 
-    For robots with many joints, these are the joints with the largest peak difference of torques as
-    a share of the limit, or of angles if there are no torques.
+    For robots with many joints, these are the joints with the largest peak torque difference as a
+    share of the torque limit, or with the largest angle difference if there are no torques.
     """
     names = pair.robot.names
     if len(names) <= MANY_JOINTS:
@@ -128,8 +128,8 @@ def exceeded(
 ) -> list[Exceeded]:
     """Returns the differences of measured torques and angles that exceed a tolerance.
 
-    Tolerances are in Nm (N), rad and, for prismatic joints, m. NaN exceeds every tolerance, and
-    None allows any difference.
+    Tolerances are in Nm and rad, or in N and m for prismatic joints. NaN exceeds every tolerance.
+    A tolerance of None allows any difference.
     """
     found = []
     for each in differences:
@@ -231,7 +231,7 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
 
 
 def shown_as(unit: str) -> tuple[float, str]:
-    """Returns factor and unit for display, in degrees and mm."""
+    """Returns the factor and the unit (degrees or mm for positions) for display."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):
@@ -240,14 +240,14 @@ def shown_as(unit: str) -> tuple[float, str]:
 
 
 def shown_units(robot: SerialRobot, signal: str) -> Sequence[tuple[float, str]]:
-    """Returns factor and unit for display for each joint; torques are in the robot's unit."""
+    """Returns each joint's factor and unit for display; torques are in the robot's unit."""
     if signal.endswith("torques"):
         return robot.torque_units
     return [shown_as(unit_of(signal, kind)) for kind in robot.types]
 
 
 def write_csv(pair: Pair, path: Path | str) -> None:
-    """Writes both runs and their difference: `time`, `torques_A1_a`, `_b`, `_diff` and so on."""
+    """Writes the runs and the difference, with columns such as `time` and `torques_A1_diff`."""
     names, columns = ["time"], [pair.times]
     for signal in pair.signals:
         difference = pair.difference(signal)
@@ -265,8 +265,8 @@ def write_csv(pair: Pair, path: Path | str) -> None:
 def compare_scene(pair: Pair) -> Scene:
     """Returns a scene that plays both runs on one clock.
 
-    The robot shows the first run and a transparent double the second. Arrows show the torques of
-    the first run minus those of the second.
+    The robot shows the first run, and a transparent double shows the second run. Arrows
+    show the torques of the first run minus the torques of the second run.
     """
     robot = pair.robot.name
     other = "b" if robot != "b" else "second"

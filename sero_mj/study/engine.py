@@ -1,4 +1,4 @@
-"""Parallel tasks: an `Engine` runs `Work` and yields the results.
+"""Runs tasks in parallel: an `Engine` runs `Work` and yields the results.
 
 A `Job` such as `EachRecording` defines what a task does. `Processes` is the engine for this
 machine. A package adds an engine by an entry point in the group `sero_mj.engines`: a class whose
@@ -34,10 +34,10 @@ KILLED = "the process was killed or ran out of memory"
 
 
 class Runner(Protocol):
-    """Runs tasks of a job in one process, and caches what several tasks need."""
+    """Runs tasks of a job in one process, and caches data that several tasks need."""
 
     def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Returns the results of tasks with these values; `error` describes a failure."""
+        """Returns the results of tasks; the column `error` describes a failure."""
 
 
 class Job(Protocol):
@@ -53,10 +53,10 @@ class Job(Protocol):
         """Returns the files that all tasks read."""
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """Returns the additional files of the task with these values."""
+        """Returns the additional files that the task with these values reads."""
 
     def below(self, root: Path) -> Job:
-        """Returns the same job for copies of these files below a root folder."""
+        """Returns a job that reads copies of the files below a root folder."""
 
     def killed(self) -> dict[str, Any]:
         """Returns the results of a task whose process was killed."""
@@ -64,13 +64,13 @@ class Job(Protocol):
 
 @dataclass(frozen=True)
 class EachRecording:
-    """A `Job` that applies a function to each recording, which is the `file` of its task.
+    """A `Job` that applies a function to each recording, which is the value `file` of a task.
 
     Attributes:
         study: `module:name` of the function, which takes `shared` and the path of a recording, and
             returns results by column.
-        shared: plain values, the same for all tasks.
-        needed: files in `shared`.
+        shared: plain values that are passed to all tasks.
+        needed: files that are named in `shared`.
     """
 
     study: str
@@ -127,7 +127,7 @@ class Work:
     max_batch: int = 1
 
     def batch_size(self, left: int, workers: int) -> int:
-        """Returns the size of batches that fit into memory and deliver intermediate results.
+        """Returns a batch size that fits into memory and gives intermediate results.
 
         All batches have the same size, so that the workers finish at the same time.
         """
@@ -137,7 +137,7 @@ class Work:
 
 
 class Engine(Protocol):
-    """Runs tasks, on this machine or elsewhere.
+    """Runs tasks on this machine or on other machines.
 
     Attributes:
         workers: current number of workers.
@@ -148,13 +148,13 @@ class Engine(Protocol):
     def run(self, work: Work) -> Generator[Result]:
         """Yields the results of all tasks as they become ready, in any order.
 
-        The result of a task that fails or ends its process has an `error`. Closing the generator
+        If a task fails or its process ends, the result contains `error`. Closing the generator
         ends the running tasks.
         """
 
 
 def files_in(path: Path) -> list[Path]:
-    """Returns a file, or all files in a folder; raises UsageError if there is none."""
+    """Returns a file, or all files in a folder; raises UsageError if there are no files."""
     found = [path] if path.is_file() else sorted(each for each in path.rglob("*") if each.is_file())
     if not found:
         raise UsageError(Problem("--ship", "no file or folder with files", found=str(path)))
@@ -162,7 +162,7 @@ def files_in(path: Path) -> list[Path]:
 
 
 def below(root: Path, value: Any) -> Any:
-    """Returns a value with the names of all files that exist below the root redirected there."""
+    """Returns a value in which names of files that also exist below the root are redirected."""
     if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
         return f"{root}{value}"
     if isinstance(value, list | tuple):
@@ -172,7 +172,7 @@ def below(root: Path, value: Any) -> Any:
     return value
 
 
-_runner: Runner  # of a worker process
+_runner: Runner  # the runner of a worker process
 
 
 def available_cpus() -> int:
@@ -209,7 +209,8 @@ class Processes:
 
     Threads would not help, because controllers, sensors and events are Python code between the
     steps of MuJoCo. `mujoco.rollout` needs all torques in advance, so it does not allow feedback.
-    In a script, use it below `if __name__ == "__main__":`, because new processes load the script.
+    In a script, use this class below `if __name__ == "__main__":`, because new processes load the
+    script.
     """
 
     def __init__(self, jobs: int = 1) -> None:
@@ -219,7 +220,7 @@ class Processes:
         """Yields the results of each finished batch.
 
         If a process is killed, for example because memory is exhausted, its tasks are repeated one
-        by one in a new process. If this is killed, too, the task has an error.
+        by one in a new process. If this process is also killed, the result contains an error.
         """
         count = len(work.tasks)
         size = work.batch_size(count, self.workers)

@@ -1,7 +1,7 @@
-"""`Explanation`: the explanation of a difference between torques; `Explainer` finds them.
+"""`Explanation` describes the cause of a torque difference; an `Explainer` finds explanations.
 
-A package adds an explainer by an entry point in the group `sero_mj.explainers`. The first one is
-used. Without any, `compare` reports differences without explanations.
+A package adds an explainer by an entry point in the group `sero_mj.explainers`. The first explainer
+is used. If there is no explainer, `compare` reports differences without explanations.
 """
 
 from __future__ import annotations
@@ -43,21 +43,22 @@ OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 @dataclass(frozen=True)
 class Explanation:
-    """The explanation of a difference.
+    """The explanation of a torque difference.
 
     Attributes:
         joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
-        part: location of the fault.
+        part: faulty part of the robot, for example `torque sensor`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
             (deg or m), stuck torque (Nm), or unexplained peak (Nm).
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
-        begin: begin of the fault, s.
-        end: end of the fault, s; None for the end of the run.
+        begin: start time of the fault, s.
+        end: end time of the fault, s; None for the end of the run.
         from_start: whether the fault exists from the start.
-        values: further values by name: `viscous`, and `x`, `y`, `z` of a payload's center, m.
+        values: further values: `viscous` friction, and the coordinates `x`, `y`, `z` of a payload's
+            center of mass, m.
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
@@ -83,7 +84,7 @@ class Explanation:
 
     @property
     def text(self) -> str:
-        """Kind, size and location of the fault."""
+        """The kind, size and location of the fault, as text."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
         center = ", ".join(
@@ -113,7 +114,7 @@ class Explanation:
 
     @property
     def short(self) -> str:
-        """Kind and size, for figures."""
+        """The kind and size of the fault, as text for figures."""
         of_second = " in B" if self.is_second else ""
         if self.kind in ("sign", "stuck", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
@@ -124,7 +125,7 @@ class Explanation:
 
     @property
     def when(self) -> str:
-        """Begin and end as text."""
+        """The start and end time of the fault, as text."""
         begin = "from the start" if self.from_start else f"from {self.begin:.2f} s"
         return begin if self.end is None else f"{begin} to {self.end:.2f} s"
 
@@ -148,7 +149,10 @@ class Explainer(ABC):
 
     @abstractmethod
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """Explains commanded minus measured torques; also returns lines about the method."""
+        """Explains commanded minus measured torques.
+
+        Returns the explanations, and lines about the method.
+        """
 
     @abstractmethod
     def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
@@ -162,13 +166,13 @@ class Explainer(ABC):
 
 
 def find_explainer() -> Explainer | None:
-    """Returns the installed explainer, or None."""
+    """Returns the installed explainer, or None if there is no explainer."""
     found: Explainer | None = load_first(EXPLAINERS, Explainer)
     return found
 
 
 def differing(pair: Pair, found: Sequence[Explanation]) -> list[Explanation]:
-    """Returns the explanations for joints whose torques differ at all."""
+    """Returns the explanations for joints whose torques differ."""
     differs = (pair.difference("torques") != 0).any(axis=0)
     joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
     return [each for each in found if joints & {*each.joints}]

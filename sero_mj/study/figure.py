@@ -1,4 +1,4 @@
-"""Figures for reports: rows of small panels with a common time axis, in the colors of the viewer.
+"""Creates figures of small panels with a common time axis, in the colors of the viewer.
 
 matplotlib is imported only when a figure is created, and its global settings are not changed.
 """
@@ -79,7 +79,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """An event of a run, shown as a band behind the panels; `end` is None until the end."""
+    """An event of a run, drawn as a band. If `end` is None, the event lasts until the end."""
 
     name: str
     begin: float
@@ -93,7 +93,7 @@ def has_matplotlib() -> bool:
 
 
 def check_suffix(path: Path | str) -> Path:
-    """Returns the path; raises UsageError for a wrong suffix, or if matplotlib is missing."""
+    """Returns the path; raises UsageError if the suffix is wrong or matplotlib is missing."""
     path = Path(path)
     if not has_matplotlib():
         raise UsageError(NO_MATPLOTLIB)
@@ -114,7 +114,7 @@ def styled() -> Iterator[None]:
 
 
 def drawn_name(name: str, number: int) -> str:
-    """Returns the name of a joint, or `joint 3` if no font has its characters."""
+    """Returns the name of a joint, or for example `joint 3` if no font has the characters."""
     from ..viewer.decor.font import drawable
 
     return name if drawable(name) else f"joint {number + 1}"
@@ -138,9 +138,9 @@ class Figure:
     """A figure with rows and columns of panels that share the time axis. Use it within `styled`.
 
     Args:
-        rows: name and second line to the left of each row.
-        columns: title and share of the width of each column.
-        size_mm: width and height; None for the width of A4 and a height that fits the rows.
+        rows: name and second line of text to the left of each row.
+        columns: title of each column, and the column's share of the width.
+        size_mm: width and height, mm; None for the width of A4 and a height that fits the rows.
 
     Raises:
         UsageError: the size is invalid.
@@ -198,7 +198,7 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values (T,) over time; for many rows, draws their envelope."""
+        """Draws values (T,) over time; for many rows, draws the envelope."""
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
@@ -219,9 +219,10 @@ class Figure:
         floor: float,
         also: Sequence[float] = (),
     ) -> bool:
-        """Fits the range of a panel to its curves and to the values `also`.
+        """Fits the range of a panel to the curves and to the values `also`.
 
-        The range is at least `least`, or `floor` if that is infinite. Returns False without data.
+        The minimum range is `least`, or `floor` if `least` is infinite. Returns False if there are
+        no data.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]
@@ -272,7 +273,7 @@ class Figure:
             taken.append(name.get_window_extent())
 
     def lay_out(self) -> None:
-        """Computes the layout once; otherwise matplotlib repeats it with every drawing."""
+        """Computes the layout once, so that matplotlib does not repeat it at every drawing."""
         engine = self.figure.get_layout_engine()
         if engine is not None:
             engine.execute(self.figure)

@@ -1,4 +1,4 @@
-"""Figures of one run, and of two runs of a robot: torques, limits and errors of each joint."""
+"""Plots torques, limits and errors of each joint, for one run or two runs of a robot."""
 
 from __future__ import annotations
 
@@ -50,8 +50,9 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
-_MAX_ROWS = 12  # per page, unless joints or a size are requested
-_CLOSE, _LEVELS = 0.1, 5  # marks within this share of the time are stacked in so many levels
+_MAX_ROWS = 12  # maximum per page, unless joints or a size are requested
+# Marks closer than this share of the time are stacked in up to this number of levels.
+_CLOSE, _LEVELS = 0.1, 5
 _Joint = tuple[str, int]  # robot, index of the joint
 _ERROR_FINDINGS = ("torque_error", "frozen_torque")  # findings marked in the panel of the error
 
@@ -75,10 +76,10 @@ def plot_run(
             of a .pdf. More than 12 joints also become pages of a .pdf; other formats show the 12
             joints with the largest share of their limits.
         path: .png (300 dpi), .pdf or .svg file.
-        robots: names of the robots; None for all.
-        joints: names of the joints of these robots; None for all.
-        findings: findings of the monitor, marked at the joints.
-        spans: events, see `spans_of`.
+        robots: names of the robots; None for all robots.
+        joints: names of the joints of these robots; None for all joints.
+        findings: findings of the monitor, which are marked at the joints.
+        spans: events to draw as bands, see `spans_of`.
         size_mm: width and height; None for the width of A4.
 
     Raises:
@@ -173,7 +174,7 @@ def _draw_run(
 
 
 def spans_of(scenario: Scenario) -> list[Span]:
-    """Returns the disturbances and faults of a scenario."""
+    """Returns the disturbances and faults of a scenario as spans of time."""
     spans = [Span(name, each.begin, each.end) for name, each in scenario.disturbances.items()]
     spans += [Span(name, each.begin, each.end, True) for name, each in scenario.faults.items()]
     return spans
@@ -338,16 +339,16 @@ def plot_pair(
     explanations: Sequence[Explanation] = (),
     size_mm: tuple[float, float] | None = None,
 ) -> None:
-    """Draws two runs, with one row per joint: both torques, and the differences A minus B.
+    """Draws two runs with one row per joint: the torques, and the differences A minus B.
 
     If torques are not in both runs, angles are shown instead.
 
     Args:
         pair: the aligned runs.
         path: .png (300 dpi), .pdf or .svg file.
-        joints: names of the joints; None for all, or for the joints that differ most if there are
-            many.
-        explanations: explanations of the differences, marked at their begin.
+        joints: names of the joints; None for all joints, or for the joints that differ most if the
+            robot has many joints.
+        explanations: explanations of the differences, which are marked at the start times.
         size_mm: width and height; None for the width of A4.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Reports of runs for CI, and marks on the timeline of a page: events, findings, expectations."""
+"""Writes reports of runs for CI, and creates marks for the timeline of a page."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ def write_report(
     error: BaseException | None = None,
     fps: float = 30.0,
 ) -> None:
-    """Writes a report of a run into a folder, which is created.
+    """Creates a folder with a report of a run.
 
-    In JUnit XML, each expectation is a test case. If the run failed with `error`, the only case has
-    this error. The figure is skipped with a warning if matplotlib is not installed. `found` is the
-    content of `report.json`, without NaN.
+    In the JUnit XML file, each expectation is a test case. If the run failed with `error`, the only
+    test case contains this error. If matplotlib is not installed, the figure is skipped with a
+    warning. `found` is the content of `report.json`, without NaN.
 
     Raises:
         UsageError: a file cannot be written.

@@ -1,4 +1,4 @@
-"""Summarizes a run in a few numbers per joint: torques, errors, saturation, findings."""
+"""Summarizes the torques, errors, saturation and findings of each joint in a run."""
 
 from __future__ import annotations
 
@@ -32,12 +32,13 @@ class JointSummary:
         torque_unit: `Nm` or `N`.
         angle_unit: `rad` or `m`.
         peak_torque_error: peak of commanded minus measured torque.
-        peak_torque_error_at: time of this peak, s.
-        rms_torque_error: root mean square over time.
+        peak_torque_error_at: time of the peak torque error, s.
+        rms_torque_error: root mean square of the torque error over time.
         peak_torque: peak of the measured torque.
         peak_share: magnitude of the peak torque as a share of the limit.
         torque_limit: torque limit, N or Nm.
-        peak_position_error: peak of target minus angle; uses the true angle if known.
+        peak_position_error: peak of target minus actual joint value; the actual value is the true
+            value if known, otherwise the measured value.
         saturated_share: share of the time with a saturated command.
         findings: number of findings of the monitor.
         first_finding: kind of the first finding.

@@ -1,4 +1,4 @@
-"""Diagnoses faults of joints from their torques: kind, size and begin of a difference.
+"""Diagnoses the kind, size and start time of joint faults from torques.
 
 Each kind has a distinct signature in the residuals of the link and motor side of a joint (see
 `TorqueResiduals`). With the link torque x of the model and the commanded torque u:
@@ -57,7 +57,7 @@ _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # shares of the torque limit
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
     """Diagnoses a robot in a run, see `explain`; raises UsageError for too little data.
 
-    `found` can pass the residuals of the robot, if they are already known.
+    `found` contains the residuals of the robot if they are already known.
     """
     found = found or torque_residuals(log, robot)
     # A run that a runaway joint aborts ends too early for the normal low-pass filter.
@@ -74,10 +74,10 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
     """Diagnoses a robot from its commanded and measured torques and its model.
 
     Without a model of the links (see `TorqueResiduals.has_model`), payloads are not detected, and
-    biases of sensor and drive are indistinguishable. `ending` are the residuals of the end of the
-    run with a faster low-pass filter, for runaway drives.
+    biases of sensor and drive are indistinguishable. `ending` contains the residuals at
+    the end of the run with a faster low-pass filter, for runaway drives.
 
-    Returns the explanations in the order of the joints, the most certain one of a joint first.
+    Returns the explanations joint by joint, in descending order of confidence.
     """
     found = _by_known_links(found)
     noise = _noise(found, None)
@@ -96,7 +96,7 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
 
 
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
-    """Explains the difference of two runs at the same times; sizes are first minus second run.
+    """Explains the difference of two runs at the same times; sizes are first run minus second run.
 
     For gains, only the difference is observable: it is 0.2 if one sensor is correct and the other
     has a gain of 0.8. The faults in `OF_ONE_RUN` are attributed to one run. Faults of the second
@@ -159,7 +159,9 @@ def _explain_first(
 def explain_runs(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float = 0.0
 ) -> list[Explanation]:
-    """Explains the difference of two runs, see `explain_pair`; adds `offset` (s) to times of `b`.
+    """Explains the difference of two runs; `offset` (s) is added to the times of `b`.
+
+    See `explain_pair`.
 
     Raises:
         UsageError: a run has too little data or no torques.

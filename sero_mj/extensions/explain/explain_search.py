@@ -20,7 +20,7 @@ from .torque_residuals import DELAYS, TorqueResiduals
 
 _erf = np.vectorize(erf)
 MIN_EFFECT = 5e-4  # share of the torque limit; root mean square while the fault acts
-MIN_ROWS = 8  # of an interval
+MIN_ROWS = 8  # minimum number of rows in an interval
 # Noise floor as a share of the torque limit, as a share of the torque, and in s of its rate.
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
 _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are not reported
@@ -182,7 +182,7 @@ def _delayed(
 
 
 class Search:
-    """Searches for explanations in the order of their evidence."""
+    """Searches for explanations in descending order of evidence."""
 
     def __init__(
         self,
@@ -512,7 +512,7 @@ class Search:
                 fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
-        """Returns all explanations and `more`, joint by joint, the largest first."""
+        """Returns all explanations and `more`, joint by joint, in descending order of size."""
         order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
@@ -523,7 +523,7 @@ class Search:
     def explains(self, sign: Explanation) -> bool:
         """Whether another explanation is better than a drive with a wrong sign.
 
-        It must fit far better, or also act before or after the wrong sign.
+        The other explanation must fit far better, or also apply before or after the wrong sign.
         """
         found, joint = self.found, self.found.robot.names.index(sign.joint)
         end = np.inf if sign.end is None else sign.end

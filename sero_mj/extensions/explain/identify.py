@@ -6,7 +6,7 @@ Both sides of every joint are linear in the parameters (see `TorqueResiduals`):
     link side, all together:     measured - model = Y(q, dq, ddq) p + o
 
 with the motor inertia B, viscous and Coulomb friction v and f, the asymmetry of friction or offset
-of the drive c, the ten parameters p of a body at the flange, and the offsets o of the sensors.
+of the drive c, the ten parameters p of a body at the flange, and the sensor offsets o.
 Joints are weighted by their residuals (Aitken's generalized least squares, as in Gautier). The
 residuals are not white, so the standard errors are those of Newey and West for autocorrelated
 residuals, of all joints together.
@@ -69,7 +69,7 @@ class Estimate:
 
 @dataclass(frozen=True, eq=False)
 class JointFigures:
-    """The estimates of a joint.
+    """The estimated parameters of a joint.
 
     Attributes:
         coulomb_friction: friction torque, Nm or N.
@@ -90,7 +90,7 @@ class JointFigures:
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The estimates of a robot.
+    """The estimated parameters of a robot.
 
     Attributes:
         run: name of the recording.
@@ -99,10 +99,10 @@ class Identified:
         center: center of mass of the payload in the flange frame, m.
         condition: condition number of the normalized columns of the link side.
         times: times of the residuals, shape (K,), s.
-        motor: commanded minus measured torque, shape (K, n), Nm or N; `motor_fit` is its fit.
-        link: measured minus model torque, shape (K, n), Nm or N; `link_fit` is its fit.
-        begin: begin of the run, s.
-        end: end of the run, s.
+        motor: commanded minus measured torques, shape (K, n), Nm or N; `motor_fit` is the fit.
+        link: measured minus model torques, shape (K, n), Nm or N; `link_fit` is the fit.
+        begin: start time of the run, s.
+        end: end time of the run, s.
     """
 
     run: str
@@ -130,7 +130,8 @@ def identify(log: RunLog, name: str) -> Identified:
     """Estimates friction, payload and torque sensor offsets of a robot.
 
     Raises:
-        UsageError: there is no such robot or measured torque, or the run is too short or static.
+        UsageError: there is no such robot or measured torque, or the run is too short or
+            contains too little motion.
     """
     found = torque_residuals(log, name, max_rows=_MAX_ROWS)
     n = found.robot.n
@@ -298,7 +299,7 @@ def _condition(X: Array) -> float:
 
 
 def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
-    """Returns all estimates with their units by `JOINT.NAME` and `payload.NAME`."""
+    """Returns a mapping from `JOINT.NAME` and `payload.NAME` to estimates with units."""
     named: dict[str, tuple[Estimate, str]] = {}
     for joint, kind in zip(found.joints, found.robot.types, strict=True):
         force, rate, inertia = _UNITS[kind == "revolute"]
@@ -347,7 +348,7 @@ def as_table(found: Identified) -> Table:
 
 
 def remarks(found: Identified) -> list[str]:
-    """Returns one line about the payload and one for each reason of unidentifiable parameters."""
+    """Returns lines about the payload and about each reason why parameters are unidentifiable."""
     if found.has_payload:
         center = ", ".join(map(str, found.center))
         lines = [f"payload: {found.mass} kg at ({center}) m in the flange frame"]
@@ -372,7 +373,7 @@ def remarks(found: Identified) -> list[str]:
 def as_toml(found: Identified) -> str:
     """Returns lines for a robot file, followed by lines for a scenario as comments.
 
-    Parameters that are not identifiable have their declared values.
+    Parameters that are not identifiable have the declared values.
     """
     from ...robots.assemble.robot_dynamics import robot_dynamics
 
@@ -426,7 +427,7 @@ def _brief(estimate: Estimate) -> str:
 
 
 def plot_identified(found: Identified, path: Path | str) -> None:
-    """Draws measurements and fits of the motor and link side of each joint: .png, .pdf or .svg."""
+    """Draws the measured and fitted torques of each joint's motor and link side."""
     path = check_suffix(path)
     from matplotlib.lines import Line2D
 

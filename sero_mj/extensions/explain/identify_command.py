@@ -37,13 +37,13 @@ _BATCH_OPTIONS = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
 class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
-    """Estimate friction, payload and torque offsets.
+    """Estimate friction, payload and torque offsets of a robot.
 
     Attributes:
         recordings: recordings or tables (.csv).
-        robot: robot to identify (default: the only one).
-        output: write lines for a robot file.
-        plot: draw the fit: .png, .pdf or .svg.
+        robot: robot to identify (default: the only robot).
+        output: file for the estimates as lines of a robot file.
+        plot: file for a figure of the fit: .png, .pdf or .svg.
         table: write one row per recording to a table.
         as_json: print the estimates as JSON.
         quiet: print no table.
@@ -69,7 +69,7 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
 
 
 def run(options: IdentifyOptions) -> int:
-    """Identifies a robot; returns the exit status."""
+    """Identifies a robot and returns the exit status."""
     if options.is_batch:
         return _identify_many(options)
     from ...study.align import choose_robot
@@ -95,10 +95,10 @@ def run(options: IdentifyOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Returns the results of one recording of a batch by column, see `EachRecording`.
+    """Returns the results of one recording of a batch by column; see `EachRecording`.
 
-    The columns are `robot`, and for each parameter `JOINT.NAME` and `payload.NAME` its value (None
-    if not identifiable), and with `.error` and `.unit` its standard error and unit.
+    The columns are `robot`, and three columns for each parameter `JOINT.NAME` and `payload.NAME`:
+    the value (None if not identifiable), the standard error (`.error`) and the unit (`.unit`).
     """
     from ...study.align import choose_robot
     from .identify import figures, identify

@@ -1,4 +1,4 @@
-"""`TorqueResiduals`: the parts of a robot's torques that its motion does not explain.
+"""`TorqueResiduals`: the parts of a robot's torques that the motion does not explain.
 
 The torque sensor of a joint is between its motor and its links. With the link inertia M, the motor
 inertia B (reflected to the joint) and the friction tau_f of motor and gear, the equations are:
@@ -11,7 +11,7 @@ of a drive. All signals pass the same low-pass filter (a Gaussian without time s
 decimated. This does not change the estimates of a regression, and removes the noise of
 differentiated angles.
 
-With joint torque control (see `TorqueLoop`), the commanded torque is not that of the motor. Then, B
+With joint torque control (see `TorqueLoop`), the commanded torque is not the motor torque. Then, B
 is the apparent motor inertia, friction is compensated, and an error of the torque sensor affects
 only the link side.
 
@@ -41,14 +41,14 @@ from ...study.align import Pair, at_times
 WINDOW = 0.016  # s, standard deviation of the low-pass filter: 10 Hz
 _SUPPORT = 4.0  # half width of the filter kernel in standard deviations
 _ROW_SPACING = 2.0  # spacing of the residuals in standard deviations
-MAX_ROWS = 600  # of the residuals
+MAX_ROWS = 600  # maximum number of rows of the residuals
 _MAX_READ = 120_000  # rows of a run; longer runs are decimated
-_MIN_ROWS = 12  # of the residuals
+_MIN_ROWS = 12  # minimum number of rows of the residuals
 _REVERSING = 0.999  # mean sign of the velocity below which the joint reverses
 _SATURATED = 0.95  # share of the torque limit above which a drive may be saturated
 _NOISE_CORRELATION = -0.35  # correlation of second differences below which they are noise
 _STOP = 0.005  # distance to an end stop as a share of the joint's range
-_MIN_SCALE = 1e-3  # Nm or N, of joints without limit and torque
+_MIN_SCALE = 1e-3  # Nm or N, scale of joints without torque limit and torque
 _DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
 # An angle jumps if a second difference exceeds this multiple of this quantile, and the sum with the
 # next one is below this share.
@@ -66,7 +66,7 @@ class Torques:
 
     Attributes:
         model: link torques of the model.
-        rates: rates of the measured or commanded torque (the faster one), Nm/s.
+        rates: rates of change of the measured or commanded torques (the faster of the two), Nm/s.
         requested: torques requested by joint torque control within the limits of the drives,
             without friction compensation.
         delivered: torques of the drives, from measured torques and the motion of the motors.
@@ -111,9 +111,9 @@ class SensorNoise:
 
     Attributes:
         roughness: standard deviation of equivalent white noise in windows, shape (W, n), Nm.
-        times: begins of these windows, shape (W,), s.
-        held: begin (s), end (s) and value of the longest interval with constant measured torque
-            for each joint.
+        times: start times of the windows, shape (W,), s.
+        held: start time (s), end time (s) and torque of each joint's longest interval with constant
+            measured torque.
     """
 
     roughness: Array
@@ -128,14 +128,14 @@ class SensorNoise:
 
 @dataclass(frozen=True, eq=False)
 class TorqueResiduals:
-    """Residuals of a robot's torques and their possible components; NaN if unknown.
+    """Residuals of a robot's torques and possible components of the residuals; NaN if unknown.
 
     Attributes:
         times: equidistant times, shape (K,), s.
         link: measured minus model torques, shape (K, n), Nm or N; NaN for coupled joints, whose
             torques cannot be separated.
-        motor: commanded minus measured torques, minus torques of motor inertia and declared
-            friction, shape (K, n); NaN while a joint is slow or reverses.
+        motor: commanded minus measured torques, minus the torques of motor inertia and declared
+            friction, shape (K, n), Nm or N; NaN while a joint is slow or reverses.
         lag: commanded minus measured torques, shape (K, n).
         width: standard deviation of the low-pass filter, s.
         scale: torque limits, or the largest torques of joints without a limit, shape (n,).
@@ -164,12 +164,12 @@ class TorqueResiduals:
 
     @cached_property
     def by_angle(self) -> Array:
-        """Derivatives of the model torques by the joint values, shape (K, n, n)."""
+        """Derivatives of the model torques with respect to the joint values, shape (K, n, n)."""
         return _torques_by_angle(self.robot, *self.motion.links)
 
     @property
     def step(self) -> float:
-        """Time between two rows, s."""
+        """Time between two rows of the residuals, s."""
         return float(self.times[1] - self.times[0])
 
 
@@ -182,13 +182,13 @@ def torque_residuals(
     max_rows: int = MAX_ROWS,
     window: float = WINDOW,
 ) -> TorqueResiduals:
-    """Computes the parts of a robot's torques that its motion does not explain.
+    """Computes the parts of a robot's torques that the motion does not explain.
 
     Args:
         log: the run.
         name: name of the robot.
-        torque_control: whether joint torque control was active; None selects the smaller
-            residuals.
+        torque_control: whether joint torque control was active; None selects the value with
+            smaller residuals.
         times: times of the residuals on the clock of the run, shape (K,), s; None for equidistant
             times.
         max_rows: maximum number of equidistant times.

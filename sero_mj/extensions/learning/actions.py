@@ -1,4 +1,4 @@
-"""Actions of an agent (joint torques or target offsets), and the controller that executes them."""
+"""Actions of an agent (joint torques or target offsets), and the controller of an agent."""
 
 from __future__ import annotations
 
@@ -37,8 +37,8 @@ class Action(ABC):
     def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode, in which actions are written to `target`.
 
-        `angles` (n,) are the joint values of the robot. For m robots, `target` has arrays (m, n),
-        and `angles` (k, n) belongs to those robots that `which` selects.
+        `angles` (n,) contains the joint values of the robot. For m robots, `target` has arrays
+        (m, n), and `angles` (k, n) contains the joint values of the robots in `which`.
         """
 
     @abstractmethod

@@ -55,7 +55,7 @@ class Settings(Declaration):
     Attributes:
         action: joint torques, or target offsets of an impedance controller.
         control_timestep: time between two actions, s.
-        seed: random seed; the same seed gives the same episodes.
+        seed: random seed; equal seeds give equal episodes.
         stiffness: stiffness of the impedance controller for all joints or for each joint, Nm/rad
             (default: 500, and less for joints with small motors).
         damping: damping ratio of the impedance controller for all joints or for each joint.
@@ -134,8 +134,8 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         episode: number of the current episode from 0; -1 before the first. Set it to k - 1 to
             continue with episode k.
         error: the error that ended the last episode, or None.
-        columns: columns of the log by name in observations.
-        bounds: lower and upper bounds (n,) of observed angles by name in observations.
+        columns: mapping from names in observations to columns of the log.
+        bounds: mapping from names in observations to lower and upper bounds (n,) of angles.
 
     Raises:
         UnknownName: there is no such robot.
@@ -288,7 +288,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             self._mirror.open()  # discards the displayed state
 
     def step(self, action: Any) -> dm_env.TimeStep:
-        """Simulates a control step, or begins the next episode after the end of one.
+        """Simulates a control step, or begins the next episode if the current one has ended.
 
         Raises:
             ValueError: the action does not have the shape (n,).

@@ -180,14 +180,14 @@ def action_space(environment: Environment) -> spaces.Box:
 
 
 def observation_space(bounds: Mapping[str, tuple[Array, Array]]) -> spaces.Dict:
-    """Returns the space of observations with these bounds."""
+    """Returns the space of observations that have these bounds."""
     return spaces.Dict(
         {name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()}
     )
 
 
 def observation_bounds(environment: Environment) -> dict[str, tuple[Array, Array]]:
-    """Returns finite lower and upper bounds of all observations by name."""
+    """Returns a mapping from observation names to finite lower and upper bounds."""
     found = {}
     for name, spec in environment.observation_spec().items():
         other, slash, signal = name.rpartition("/")

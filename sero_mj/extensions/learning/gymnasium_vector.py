@@ -25,7 +25,7 @@ from .many import ManyEnvironments
 
 
 class GymnasiumVector(VectorEnv[Any, Any, Any]):
-    """Environments that are stepped together; each one behaves like a `GymnasiumEnvironment`.
+    """Environments that are stepped together; each behaves like a `GymnasiumEnvironment`.
 
     If an episode has ended, the next step ignores the action and begins another episode
     (`AutoresetMode.NEXT_STEP`).
@@ -103,7 +103,10 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         return self._within(observed), rewards, terminated, truncated, infos
 
     def begin_next(self) -> Observation:
-        """Begins the next episodes of ended ones; returns the observations of all environments."""
+        """Begins the next episode of environments whose episode has ended.
+
+        Returns the observations of all environments.
+        """
         return self._within(self.many.begin_next())
 
     def _episodes(self, which: Bools) -> dict[str, Any]:

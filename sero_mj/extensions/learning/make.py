@@ -40,8 +40,8 @@ class ScenarioSettings(Settings):
     """Options of the environment of a scenario.
 
     Attributes:
-        robot: robot that the agent controls; None for the first one.
-        overrides: values by dotted key that override the file: `{"run.duration": 2.0}`.
+        robot: robot that the agent controls; None for the first robot.
+        overrides: values that override the file, for example `{"run.duration": 2.0}`.
     """
 
     robot: str | None = None
@@ -56,7 +56,7 @@ class RobotSettings(Settings):
         timestep: time step of the simulation, s.
         sensors: sensor errors, as in `[sensors.NAME]` of a scenario.
         start: `random`, `home` (the declared joint values), or joint values, rad or m.
-        robot: fields that override the robot file: `{"show_billboards": True}`.
+        robot: values that override the robot file, for example `{"show_billboards": True}`.
     """
 
     time_limit: float = Field(5.0, gt=0, le=1e4)
@@ -137,7 +137,7 @@ def make_environment(name: str, **options: Any) -> Environment:
 
     Raises:
         UnknownName: there is no such robot, task or scenario.
-        DeclarationError: the options or a file have errors; contains all of them.
+        DeclarationError: the options or a file have errors; the exception contains all errors.
     """
     if name.endswith(".toml") or name in list_scenarios():
         chosen = ScenarioSettings(**_known(options, ScenarioSettings))

@@ -33,13 +33,14 @@ class ManyEnvironments:
     """m environments of a single robot with a task, stepped together.
 
     Args:
-        environment: environment that initializes the episodes of all; do not use it otherwise.
+        environment: environment that initializes all episodes; do not use it elsewhere.
         m: number of environments.
         threads: number of threads.
 
     Attributes:
         lanes: the robots of each thread.
-        seeds: random seeds, shape (m,); by default, the seed of `environment` and those after it.
+        seeds: random seeds, shape (m,); by default, the seed of `environment` and the seeds
+            that follow.
         episodes: number of the current episodes from 0, shape (m,); -1 before the first. Episode k
             of a seed is the same as in `Environment`.
         is_over: whether the episode has ended, so that the next step begins another one, (m,).
@@ -99,10 +100,10 @@ class ManyEnvironments:
         self.is_over[which] = False
 
     def step(self, actions: Any) -> tuple[dict[str, Array], Array, Bools, Bools]:
-        """Simulates a control step with actions (m, n), or begins the next episode of ended ones.
+        """Simulates a control step with actions (m, n), or begins the next episode after an end.
 
-        Returns copies: observations by name (m, ...), and (m,) each of rewards, whether the motion
-        has become unstable, and whether the episode has reached its end.
+        Returns copies of observations by name (m, ...), and three arrays (m,): the rewards, whether
+        the motion has become unstable, and whether the episode has reached the end.
 
         Raises:
             ValueError: the actions have a wrong shape.
@@ -235,7 +236,7 @@ class Lane:
             self._control.deflection.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
-        """Simulates a control step of some of the robots, and returns which are unstable, (m,).
+        """Simulates a control step of some robots; returns whether each robot is unstable, (m,).
 
         Args:
             actions: actions within the bounds, shape (m, n).

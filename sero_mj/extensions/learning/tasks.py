@@ -135,7 +135,7 @@ class ManyEpisodes(ABC):
 
     @abstractmethod
     def begin(self, k: int) -> None:
-        """Begins for robot k the episode that the `Episode` has just begun."""
+        """Begins an episode of robot k, which is the episode that `Episode` has just begun."""
 
     def forces(self, times: Array) -> Array:
         """Returns forces at the flanges for the next control step in world axes, (m, 3), N."""
@@ -154,7 +154,7 @@ class Episode:
     """A task of one robot, in successive episodes. The base class is a task without content."""
 
     def make_many(self, m: int) -> ManyEpisodes | None:
-        """Returns the task for m robots, or None if they can only be simulated one by one."""
+        """Returns the task for m robots, or None if robots can only be simulated one by one."""
         return None
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -176,7 +176,7 @@ class Episode:
         return {}
 
     def inputs(self) -> dict[str, Array]:
-        """Returns inputs of the scene for display, such as `lwr_goal.joint_angles` (n,)."""
+        """Returns scene inputs that display the goal, such as `lwr_goal.joint_angles` (n,)."""
         return {}
 
 

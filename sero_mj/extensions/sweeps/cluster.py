@@ -1,8 +1,8 @@
 """`Cluster`: runs tasks on the workers of a Dask cluster.
 
-This program, not the scheduler, assigns batches to workers: two at a time, and the next one as soon
-as one is done. Workers that join late are therefore used, few tasks wait at the scheduler, and the
-tasks of a worker that dies are known.
+This program, not the scheduler, assigns batches to workers. Each worker has two batches, and gets
+the next batch when one is done. Therefore, workers that join late are used, few tasks wait at the
+scheduler, and the tasks of a worker that dies are known.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 log = logging.getLogger(__name__)
 
 PATIENCE = 10.0  # s, timeout of the connection to a scheduler
-ELSEWHERE = 2  # maximum number of repetitions of a task whose worker died
+ELSEWHERE = 2  # maximum number of times that a task is repeated after its worker died
 _EACH = 2  # batches per worker: one that runs, and the next one
 _LOOK = 1.0  # s between checks for new and dead workers
 _ANSWER = 30.0  # s, timeout for the transfer of results
@@ -120,7 +120,7 @@ class Cluster:
 
 
 class _Run:
-    """One work on the workers of a client.
+    """The execution of `Work` on the workers of a client.
 
     Args:
         address: address of the scheduler, for errors.

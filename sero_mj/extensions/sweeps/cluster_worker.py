@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def versions() -> dict[str, str]:
-    """Returns the versions of packages that affect results, by name."""
+    """Returns a mapping from names of packages that affect results to versions."""
     return {"sero-mj": __version__, "mujoco": version("mujoco"), "numpy": version("numpy")}
 
 
@@ -51,7 +51,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         shutil.rmtree(self._root, ignore_errors=True)
 
     def differences(self) -> list[str]:
-        """Returns the differences to the client that would change results."""
+        """Returns the differences from the client that would change results."""
         own = versions()
         found = [
             f"{name} is {own[name]} there and {wanted} here"
@@ -93,7 +93,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
 def run_tasks(
     name: str, tasks: Sequence[Mapping[str, Any]], archive: bytes
 ) -> list[dict[str, Any]]:
-    """Runs tasks by the plug-in with this name."""
+    """Runs tasks with the plug-in of this name."""
     found: list[dict[str, Any]] = get_worker().plugins[name].run(tasks, archive)
     return found
 

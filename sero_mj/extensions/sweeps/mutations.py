@@ -30,7 +30,7 @@ class Mutations:
     """The unchanged scenario and one variant per mutation; a `Design` of a sweep.
 
     Args:
-        tables: values by dotted key of each mutation, by name.
+        tables: mapping from names of mutations to values by dotted key.
     """
 
     file: Path
@@ -118,8 +118,8 @@ class Judged:
         noticed_by: failed expectations, or the error that stopped the run.
         moved: expectation with the largest relative change of its value by the mutation, which is
             the best one to tighten if nothing is detected; None if no value changes or is known.
-        value: its value with the mutation.
-        value_without: its value without the mutation.
+        value: value of the expectation `moved` with the mutation.
+        value_without: value of the expectation `moved` without the mutation.
     """
 
     noticed_by: list[str]

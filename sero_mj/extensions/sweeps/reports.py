@@ -40,7 +40,7 @@ def report_of(sweep: Sweep, rows: Rows) -> Report:
 
 
 class _OfSamples:
-    """Lowest and highest outcomes, and the number of variants that passed."""
+    """Reports the lowest and highest outcomes, and the number of variants that passed."""
 
     def __init__(self, sweep: Sweep, rows: Rows) -> None:
         self._sweep = sweep
@@ -106,7 +106,7 @@ class _OfSamples:
 
 
 class _OfMutations:
-    """Detected and undetected mutations."""
+    """Reports detected and undetected mutations."""
 
     def __init__(self, design: Mutations, rows: Rows) -> None:
         without = rows.get(0, {})

@@ -28,11 +28,11 @@ class Vary:
 
     Attributes:
         key: dotted key as in `read_scenario(overrides=...)`: `controllers.lwr.stiffness`.
-        text: the text of the values: `100:2000`.
+        text: values as in the option, for example `100:2000`.
         low: lower end of the range.
         high: upper end of the range.
         scale: `linear`, `log`, or `int` (integers, including both ends).
-        values: the list; empty for a range.
+        values: listed values; empty for a range.
     """
 
     key: str

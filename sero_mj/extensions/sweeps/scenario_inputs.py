@@ -61,7 +61,7 @@ def files_read(
 
 
 def pack(files: Sequence[Path]) -> bytes:
-    """Returns an archive of files with their folders. Raises UsageError above 1 GB."""
+    """Returns an archive of files and folders; raises UsageError if larger than 1 GB."""
     size = sum(file.stat().st_size for file in files)
     if size > _MAX_BYTES:
         largest = max(files, key=lambda file: file.stat().st_size)

@@ -45,7 +45,7 @@ class Design(Protocol):
         """Returns all settings that the variants depend on."""
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
-        """Raises SeroError if variants are invalid; `fixed` has the values of all variants."""
+        """Raises SeroError if variants are invalid; `fixed` contains values for all variants."""
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ class Sweep:
         """Runs variants; yields numbers and results in the order of their completion.
 
         Args:
-            engine: for example `Processes(4)`; None for this process.
+            engine: engine, for example `Processes(4)`; None for this process.
             numbers: numbers of the variants; None for all.
         """
         wanted = range(len(self.variants)) if numbers is None else numbers

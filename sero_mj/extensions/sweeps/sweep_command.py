@@ -65,13 +65,13 @@ class SweepOptions(EngineOptions, JsonOptions):
     Attributes:
         scenario: scenario file, or name of a shipped scenario.
         vary: key and values of a variable; may be repeated.
-        mutations: file of mutations, of which each should be detected by an expectation.
+        mutations: file with mutations that expectations should detect.
         samples: number of variants; with --grid, number of values per range (default: 20).
-        grid: combine all values with each other.
+        grid: run all combinations of the values.
         seed: seed of the samples.
         settings: set a value in all variants, for example run.duration=2; may be repeated.
-        out: table with one row per variant.
-        plot: plot of outcomes over values.
+        out: output table with one row per variant.
+        plot: file for a plot of outcomes over values.
         shard: run only every Nth variant, starting from the Ith.
         merge: join the tables of shards instead of running: a file, or a pattern 'part.*.csv'; may
             be repeated.

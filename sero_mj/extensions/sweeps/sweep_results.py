@@ -113,8 +113,8 @@ class SweepTable:
         """Adds the rows of another table of this sweep, for example of a shard.
 
         Raises:
-            UsageError: it belongs to another sweep, or has a different result for a known variant.
-            CsvError: it cannot be read, or is not a table of a sweep.
+            UsageError: the table belongs to another sweep, or has another result for a variant.
+            CsvError: the file cannot be read, or is not a table of a sweep.
         """
         try:
             contents = part.read_bytes()
@@ -235,14 +235,14 @@ Rows = Mapping[int, Mapping[str, Any]]
 
 @dataclass(frozen=True)
 class Outcomes:
-    """One outcome over all variants.
+    """The range of one outcome over all variants.
 
     Attributes:
         name: name of the expectation, or for example `ROBOT.peak_torque_error`.
         held: number of variants that passed; None without an expectation.
         known: number of variants with a value.
-        lowest: value and number of the variant.
-        highest: value and number of the variant.
+        lowest: lowest value, and number of the variant.
+        highest: highest value, and number of the variant.
     """
 
     name: str
@@ -270,7 +270,7 @@ class SweepSummary:
 
 
 def value_columns(columns: list[str]) -> dict[str, str]:
-    """Returns the column of every numeric outcome, by name."""
+    """Returns a mapping from names of numeric outcomes to columns."""
     found = {}
     for column in columns[columns.index("held") + 3 :]:
         if column.startswith("expect."):

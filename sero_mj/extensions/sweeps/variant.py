@@ -61,7 +61,7 @@ class VariantRunner:
         self._compiler = Compiler()
 
     def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Runs variants with these values; returns their outcomes. An error becomes `error`."""
+        """Runs variants with these values; returns outcomes, with `error` if a run failed."""
         found = [{"held": False, "error": "", "ended": 0.0} for _ in variants]
         batches: dict[object, list[tuple[Scenario, dict[str, Any]]]] = {}
         for values, result in zip(variants, found, strict=True):

@@ -367,7 +367,7 @@ def test_any_robot_on_the_network_is_shown(peer: Peer, capsys: pytest.CaptureFix
     ("text", "said"),
     sampled(
         [
-            ["no XML", "the robot_description is no URDF: it begins with 'no XML'"],
+            ["no XML", "the robot_description is not URDF: it begins with 'no XML'"],
             ["<robot name='x'><link", "described.urdf"],
             ["<robot name='x'/>", "has no <link>"],
         ],

@@ -183,7 +183,7 @@ def test_restarted_router_is_connected_again(
             assert until(lambda gone=gone: source.trouble == gone)
         assert source.counters.received == 3
     told = [said for said in caplog.messages if "lost the connection" in said]
-    assert told == [f"source 'zenoh': {gone}; trying again"]
+    assert told == [f"source 'zenoh': {gone}; reconnecting"]
 
 
 def test_receiver_waits_for_a_router_that_is_off(caplog: pytest.LogCaptureFixture) -> None:
