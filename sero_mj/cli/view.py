@@ -52,7 +52,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
     Attributes:
         scene: scene, robot or recording: a file or a shipped name (default: show a start page).
-        window: open a window on this screen, which is the default if there is a display.
+        window: open a window on this screen (default: on if there is a display).
         web: serve a web page instead of opening a window.
         port: port of the page (default: the first free port from 8080).
         host: address at which the page is served (default: 127.0.0.1, only for this machine).

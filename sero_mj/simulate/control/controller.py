@@ -8,6 +8,7 @@ A package adds a kind of controller by an entry point in the group `sero_mj.cont
 
 from __future__ import annotations
 
+import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -313,14 +314,14 @@ class ControllerDeclaration(Declaration, ABC):
     number for all joints.
 
     Attributes:
-        torque_limits: Nm or N per joint, at most those of the robot.
-        torque_rate_limits: Nm/s or N/s per joint (default: no limit).
-        needs_target: whether it follows a target; the default target is the initial pose.
-        needs_pose: whether it follows the pose of the flange in addition to joint angles.
-        protocol_joints: number of joints that its protocol requires; None for any number.
-        may_be_probed: whether its torques may be computed for states outside of a run, which
-            determines its gains.
-        logged: names of its own columns in the log, with values from `Controller.logged`.
+        torque_limits: torque limit of each joint, Nm or N (default: the limits of the robot).
+        torque_rate_limits: maximum rate of the torque of each joint, Nm/s or N/s (default: none).
+        needs_target: whether the controller follows a target (default target: the initial pose).
+        needs_pose: whether the controller follows the pose of the flange and joint angles.
+        protocol_joints: number of joints that the protocol supports; None for any number.
+        may_be_probed: whether torques may be computed for states outside of a run, in order to
+            determine the gains of the controller.
+        logged: names of additional log columns, whose values are in `Controller.logged`.
         title: name in the list of controllers; `kind` if empty.
         short: alternative name on the command line; empty for none.
         order: position in the list of controllers; built-in controllers have 10 to 90.
@@ -339,6 +340,13 @@ class ControllerDeclaration(Declaration, ABC):
     torque_rate_limits: MaybePerJoint = None
 
     _origin: FileOrigin | None = PrivateAttr(None)
+
+    @classmethod
+    def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
+        if "may_be_asked" in cls.__dict__:
+            message = "may_be_asked is now may_be_probed; the old name works in version 0.2"
+            warnings.warn(message, DeprecationWarning, stacklevel=2)
+            cls.may_be_probed = cls.__dict__["may_be_asked"]
 
     @property
     def is_in_real_time(self) -> bool:
