@@ -191,7 +191,7 @@ def test_rendered_images_follow_unless_a_path_sets_the_position(justin: World, t
         drive(justin, data, 4.0, 0.0)
         renderer.render(data)
         assert renderer.camera.lookat == pytest.approx(start + np.array([4.0, 0, 0]))
-        with pytest.raises(UsageError, match="its look_at does not go with --follow justin"):
+        with pytest.raises(UsageError, match=r"look_at .* --follow justin"):
             video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file, follow="justin"))
         video_frames(None, renderer, 1, 1.0, VideoOptions(camera_path=file))
         drive(justin, data, 8.0, 0.1)
@@ -219,7 +219,7 @@ def test_fixed_camera_follows_nothing() -> None:
     world = World(Scene(robots=[robot], cameras=cameras, view=View(follow="lwr/flange")))
     navigator = Navigator(world, "front")
     assert navigator.following is None
-    with pytest.raises(UsageError, match="camera 'front' of the scene stands where it is"):
+    with pytest.raises(UsageError, match=r"follow: .* camera 'front' of the scene .* 'lwr'$"):
         followed(world, navigator.camera, "lwr")
 
 
@@ -236,8 +236,8 @@ def test_unknown_follow_target_is_reported_with_a_suggestion(tmp_path) -> None:
     file.write_text(
         f'{text.replace("lwe", "lwr")}camera = "a"\n[cameras.a]\nposition = [1, 1, 1]\n'
     )
-    reason = "is for the free camera, and view.camera names another; leave one of them out"
-    assert problems_in(file) == [f"4: view.follow: {reason}"]
+    (problem,) = problems_in(file)
+    assert problem.startswith("4: view.follow: ") and "view.camera" in problem
 
 
 def test_view_angles_survive_setting_another_attribute() -> None:

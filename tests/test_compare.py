@@ -320,7 +320,7 @@ def test_several_recordings_have_one_row_each(
     assert f"{stiff}: " in shown.err and "differs by" in shown.err and f"{broken}: is" in shown.err
     names = [str(path) for path in (stiff, soft, broken)]
     title, _, *lines = shown.out.splitlines()
-    assert title.strip() == f"each less {soft}"
+    assert title.strip() == f"each minus {soft}"
     assert [line.split()[0] for line in lines if line.startswith("/")] == names
     with table.open(encoding="utf-8") as file:
         rows = list(csv.DictReader(file))

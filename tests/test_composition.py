@@ -346,7 +346,6 @@ def test_route_to_the_base_of_a_mounted_robot_is_rejected() -> None:
         robots=[*body()], routes={"arm.base_frame": "udp.matrices0"},
         sources={"udp": {"kind": "udp", "port": 0, "structure": "1M"}},
     )  # fmt: skip
-    assert [str(problem) for problem in wire(scene).problems] == [
-        "routes.arm.base_frame: arm is mounted on torso/link1, which moves its base; remove this "
-        "route, or the mount"
-    ]
+    (problem,) = wire(scene).problems
+    assert problem.key == "routes.arm.base_frame"
+    assert "arm is mounted on torso/link1" in problem.message

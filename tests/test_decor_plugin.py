@@ -115,7 +115,7 @@ def test_plugin_feature_is_listed_with_its_package(installed: Path) -> None:
         env={**os.environ, "PYTHONPATH": str(installed)},
         capture_output=True, text=True, check=True,
     )  # fmt: skip
-    assert "temperature_gauge:TemperatureGauge, of temperature-gauge" in done.stdout
+    assert "temperature_gauge:TemperatureGauge from temperature-gauge" in done.stdout
     assert "round_arrows       sero_mj.viewer.decor.round_arrows:RoundArrows\n" in done.stdout
 
 

@@ -147,7 +147,7 @@ def test_pipes_are_rejected_as_photos_videos_and_points(pipe: Path) -> None:
     from sero_mj.extensions.photo.footage import Video, read_photo
 
     reason = "is a pipe; expected a file"
-    for read, what in ((read_photo, "cannot be read"), (Video, "is no video that can be read")):
+    for read, what in ((read_photo, "cannot be read"), (Video, "is not a readable video")):
         with raises_with(RenderError, reason=f"{pipe}: {what}: {reason}"):
             read(pipe)
     points = pipe.rename(pipe.with_suffix(".csv"))
@@ -164,7 +164,7 @@ def test_pipe_is_rejected_as_shared_memory(block: str) -> None:
             raises_with(
                 SourceError,
                 source="shm",
-                reason=f"shared memory {block}: it is no shared memory",
+                reason=f"shared memory {block}: not shared memory",
             ),
             ShmReader(block=block, structure="1F"),
         ):
@@ -262,7 +262,7 @@ def test_expressions_of_thousands_of_terms_are_rejected() -> None:
         parse(text)
     assert time.process_time() - begin < 2.0
     message = str(found.value)
-    assert "expected at most 2000 before the end; found 39999 numbers, names and signs" in message
+    assert "expected at most 2000" in message and "39999 numbers, names and signs" in message
     assert (
         "character 14001: found 'udp.values0'" in message or "character 14001: found '+'" in message
     )

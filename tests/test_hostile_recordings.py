@@ -85,7 +85,7 @@ ZEROS = 20 << 20
 BOMBS: dict[str, tuple[Callable[[], Chunk], str]] = {
     "says its size": (
         lambda: chunk_of("zstd", unsized(1 << 30), 1 << 32),
-        rf"{1 << 32} bytes when it is decompressed; expected at most {MAX_CHUNK_BYTES}",
+        rf"{1 << 32} bytes when decompressed; expected at most {MAX_CHUNK_BYTES}",
     ),
     "frame says more": (
         lambda: chunk_of("zstd", zstandard.compress(bytes(1 << 30)), 100),
@@ -175,11 +175,11 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
         ),
         (
             {"events": {"values7": [2]}},
-            "events of source 'arm': found values7 of shape (2,); expected no such event",
+            "events of source 'arm': found values7 with shape (2,); expected no such event",
         ),
         (
             {"events": {"values0": [10**12]}},
-            f"events of source 'arm': found values0 of shape ({10**12},); expected (2,)",
+            f"events of source 'arm': found values0 with shape ({10**12},); expected (2,)",
         ),
     ],
 )

@@ -186,7 +186,7 @@ def test_urdf_file_can_have_the_suffix_xml(folder: Path, capsys) -> None:
 def test_fk_accepts_scenes(capsys) -> None:
     fig7 = str(Path(__file__).with_name("fig7.x3d"))
     assert run("check", "--fk", fig7, "--joint-angles", "0,0.5,0,0,0,0,0") == 0
-    assert "T_base_flange of lwr, by its DH table" in capsys.readouterr().out
+    assert "T_base_flange of lwr, from the DH table" in capsys.readouterr().out
     assert run("check", "--fk", "lwr_hit_hand", "--of", "arm") == 0
     assert "T_base_flange of arm" in capsys.readouterr().out
     file = paths.scenes_dir() / "lwr_udp.toml"
@@ -201,9 +201,9 @@ def test_fk_accepts_scenes(capsys) -> None:
         (("lwr_hit_hand",), "lwr_hit_hand: has 6 robots; expected --of with one of arm, hand_"),
         (
             ("lwr_hit_hand", "--of", "foot"),
-            "lwr_hit_hand: has no robot 'foot'; available: arm",
+            "lwr_hit_hand has no robot 'foot'; available: arm",
         ),
-        (("lwr", "--of", "arm"), "lwr: has no robot 'arm'; available: lwr"),
+        (("lwr", "--of", "arm"), "lwr has no robot 'arm'; available: lwr"),
         (("lwrr",), "no scene or robot 'lwrr'; did you mean 'lwr'?"),
     ):
         assert run("check", "--fk", *arguments) == 2
@@ -220,7 +220,7 @@ def test_imported_mjcf_is_the_same(folder: Path, capsys) -> None:
     write(folder / "source", '<mujoco><include file="legs.xml"/></mujoco>', "scene.xml")
     assert run("import", "source/scene.xml", "--out", "legs", "--convention", "craig") == 0
     output = capsys.readouterr().out
-    assert "so there is no craig DH table" in output and "legs/robot.toml: 7 joints" in output
+    assert "no craig DH table" in output and "legs/robot.toml: 7 joints" in output
     worlds = [World(load_scene(name), dynamic=True) for name in ("legs", "source/scene.xml")]
     one, other = (next(iter(world.robots.values())).robot for world in worlds)
     shutil.rmtree(folder / "source")
@@ -300,7 +300,7 @@ def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
     over = load_scene(scene, {"ur10e.show_axes": True}).robots["ur10e"]
     assert (over.reach, over.show_axes) == (reach["ur10e"], True)
     write(folder, TWO_LEGS, "legs.xml")
-    with pytest.raises(DeclarationError, match=re.escape("legs.xml: arguments.a: is for xacro")):
+    with pytest.raises(DeclarationError, match=re.escape("legs.xml: arguments.a: only xacro")):
         wrong = '[robots.x]\nmodel = "legs.xml"\narguments = { a = 1 }'
         load_scene(write(folder, wrong, "wrong.toml"))
     for wrong, expected in (
@@ -321,8 +321,8 @@ def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
     for file in ("tree.urdf", "ur.urdf.xacro"):
         assert run("check", file, "--arg", "fats=true") == 2
     output = capsys.readouterr().err
-    assert "arguments.fats: is for xacro; this file is plain URDF" in output
-    assert "arguments.fats: xacro has no argument 'fats'; did you mean 'fast'?" in output
+    assert "arguments.fats: only xacro files have arguments; this file is plain URDF" in output
+    assert "arguments.fats: unknown xacro argument 'fats'; did you mean 'fast'?" in output
 
 
 @pytest.mark.gl

@@ -129,15 +129,15 @@ def test_invalid_figure_names_and_tables_are_reported(
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="found the columns a, b[0]; expected 2 columns with joint angles, as "
-        '--columns "joint_angles=NAME,NAME,..." tells',
+        reason="found the columns a, b[0]; expected 2 columns with joint angles. Declare "
+        'them with --columns "joint_angles=NAME,NAME,..."',
     ):
         find_tables(table).read_run(table, Scene(robots=[two_joints()]), None, {})
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="found the columns a, b[0]; expected columns with joint angles, as "
-        '--columns "joint_angles=b[*]" tells',
+        reason="found the columns a, b[0]; expected columns with joint angles. Declare "
+        'them with --columns "joint_angles=b[*]"',
     ):
         find_tables(table).read_run(table, Scene(), None, {})
     source = UdpReceiver(name="udp", structure="measured:2F commanded:2F", port=32000)
@@ -148,9 +148,9 @@ def test_invalid_figure_names_and_tables_are_reported(
     with raises_with(
         CsvError,
         path=f"{tmp_path}/t.csv",
-        reason="has no column measured[0], of source 'udp'; found the columns measured[1], "
-        "commanded[0], commanded[1]; expected 2 columns with joint angles, as "
-        '--columns "joint_angles=commanded[*]" tells',
+        reason="has no columns measured[0] of source 'udp'; found the columns measured[1], "
+        "commanded[0], commanded[1]; expected 2 columns with joint angles. Declare "
+        'them with --columns "joint_angles=commanded[*]"',
     ):
         find_tables(table).read_run(table, scene, None, {})
 

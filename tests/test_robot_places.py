@@ -113,7 +113,7 @@ def test_cached_description_needs_no_network(tmp_path: Path) -> None:
     environment = cached(tmp_path / "cache", "example-robot-data", files)
     status, output = run_command(["check", "panda_description"], tmp_path, environment)
     assert status == 0, output
-    assert "panda: no errors" in output and "joint panda_joint1 moves" in output
+    assert "panda: no errors" in output and "moved by joint panda_joint1;" in output
     (tmp_path / "scene.toml").write_text('[robots.one]\nmodel = "panda_description"\n')
     status, output = run_command(["check", "scene.toml"], tmp_path, environment)
     assert status == 0 and "robot   one: 1 joints" in output
@@ -134,7 +134,9 @@ def test_xacro_description_has_its_arguments(tmp_path: Path) -> None:
     environment = cached(tmp_path / "cache", "ur_description", files)
     status, output = run_command(["check", "ur5e_description"], tmp_path, environment)
     assert status == 0, output
-    assert "ur5e_description: no errors" in output and "shoulder_pan_joint moves" in output
+    assert (
+        "ur5e_description: no errors" in output and "moved by joint shoulder_pan_joint;" in output
+    )
 
 
 def test_failed_downloads_are_reported(tmp_path: Path) -> None:

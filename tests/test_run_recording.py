@@ -239,8 +239,7 @@ def test_invalid_recordings_are_reported(
         RecordingError,
         path=f"{tmp_path}/text.mcap",
         reason=(
-            "is not an MCAP file: it begins with b'time,ang'; expected a file that "
-            "sero-mj record wrote"
+            "is not an MCAP file: it begins with b'time,ang'; expected a file from sero-mj record"
         ),
     ):
         read_run(text)
@@ -456,7 +455,7 @@ def test_tables_of_simulations_and_packets_equal_their_runs(
         "udp", "other").replace("other\"", "udp\"").replace("32000", "32001"))  # fmt: skip
     with raises_with(
         UsageError,
-        reason=f"{tmp_path}/robot.csv may be of udp, other; choose one with --source udp",
+        reason=f"{tmp_path}/robot.csv fits the sources udp, other. Choose one with --source udp",
     ):
         find_tables(table).read_run(table, load_scene(str(path)), None, {})
     assert find_tables(table).read_run(table, load_scene(str(path)), "udp", {}).robots.keys() == {

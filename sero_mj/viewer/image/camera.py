@@ -218,7 +218,9 @@ def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = No
         return world.scene.view.follow if wanted is None else wanted
     if wanted is not None:
         name = world.model.camera(camera.fixedcamid).name
-        reason = f"requires the free camera, but camera '{name}' of the scene is fixed"
+        reason = (
+            f"requires the free camera, but camera '{name}' of the scene is fixed; cannot follow"
+        )
         raise UsageError(Problem("follow", reason, found=wanted))
     return None
 
