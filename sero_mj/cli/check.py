@@ -148,7 +148,10 @@ def _check_scene(options: CheckOptions) -> int:
             for event, shape in source.events.items()
         )
         text = f"{name}: {source.about}, {source.size} bytes: {events}"
-        lines = fill(text, 100, initial_indent="  source  ", subsequent_indent=" " * 12)
+        lines = fill(
+            text, 100, initial_indent="  source  ", subsequent_indent=" " * 12,
+            break_on_hyphens=False, break_long_words=False,
+        )  # fmt: skip
         print(lines.replace(_NO_BREAK, " "))
         print(_unused(name, source, taken), end="")
         if isinstance(source, FileSource) and (warning := degrees.check_recording(source)):
