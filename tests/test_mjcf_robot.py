@@ -672,6 +672,16 @@ def test_negative_damping_is_set_to_zero(tmp_path):
     assert lost == ["negative damping is set to 0: wrist"]
 
 
+def test_nan_in_a_joint_is_reported(tmp_path: Path) -> None:
+    root = ElementTree.fromstring(TWO_LEGS)
+    next(root.iter("joint")).set("ref", "nan")
+    path = tmp_path / "nan.xml"
+    path.write_text(ElementTree.tostring(root, encoding="unicode"), encoding="utf-8")
+    with pytest.raises(DeclarationError) as caught:
+        load_scene(path)
+    assert caught.value.problems[0].key == "joint_frames"
+
+
 WORDS = ["0", "-1", "nan", "1e400", "", "a", "free", "ball", "mesh", "left knee", "tiled", "../x"]
 
 

@@ -249,7 +249,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
     [
         (
             {"kind": "way_points"},
-            Problem(reason="found neither of times and speed; expected one of them"),
+            Problem(reason="found neither of `times` and `speed`; expected exactly one of them"),
         ),
         (
             {"kind": "way_points", "speed": 0.5},

@@ -187,9 +187,9 @@ def numbers(value: Any) -> Array:
 
 
 def of_shape(*shape: int | None) -> BeforeValidator:
-    """Returns a validator for arrays of this shape, where None stands for any length.
+    """Returns a validator for arrays of a shape in which None means any length.
 
-    If a flat list has the length of whole rows, it is split into rows, as `dhParams` in the paper.
+    A flat list is split into rows if possible, like `dhParams` in the paper.
     """
     names = iter("nm") if len(shape) > 1 and None in shape[1:] else iter("nn")
     wanted = " x ".join(next(names) if length is None else str(length) for length in shape)

@@ -165,12 +165,12 @@ class RobotControl:
     case, the rows are the first axis of all arrays.
 
     Args:
-        drive: torques of all joints of the plant, shape (m, 2, n), Nm or N, to be written:
-            commanded, and requested before the limits.
-        row: the row; None for all rows.
+        drive: output array (m, 2, n) for torques of all joints of the plant, Nm or N: commanded
+            torques, and torques before the limits.
+        row: index of the controlled row; None for all rows.
 
     Attributes:
-        rows: () for one row, or (m,).
+        rows: shape of the first axes of arrays: () for one row, or (m,).
         parts: slice of each robot's joints among the controlled joints.
         commanded: torques of the last step, Nm or N.
         controller: the controller with its torque limits; set it by `use`.

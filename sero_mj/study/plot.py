@@ -73,8 +73,8 @@ def plot_run(
 
     Args:
         logs: a run with `torques`, `commanded_torques` or both, or several runs, which become pages
-            of a .pdf. More than 12 joints also become pages of a .pdf; other formats show the 12
-            joints with the largest share of their limits.
+            of a .pdf. A .pdf shows 12 joints per page. Other formats show the 12 joints with the
+            largest torques relative to their limits.
         path: .png (300 dpi), .pdf or .svg file.
         robots: names of the robots; None for all robots.
         joints: names of the joints of these robots; None for all joints.

@@ -119,7 +119,10 @@ class Evaluator:
         return found
 
     def check_comparison(self, node: ast.expr, left: Value, right: Value) -> None:
-        """Raises RouteError for frames, and for different units or counts of numbers."""
+        """Raises RouteError if two values cannot be compared.
+
+        Frames, values with different units, and different counts of numbers cannot be compared.
+        """
         rows = [_rows_of(value) for value in (left, right)]
         for each in rows:
             self._refuse_frames(node, each)

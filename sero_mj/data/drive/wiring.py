@@ -75,7 +75,7 @@ class Wiring:
 def wire(scene: Scene) -> Wiring:
     """Builds the sources of a scene and checks its routes, without opening sources.
 
-    Routes of invalid robots and sources are not checked, because each error is reported once.
+    Routes of invalid robots and sources are not checked, because their errors are already known.
     """
     wiring = Wiring()
     for name, declared in scene.sources.items():

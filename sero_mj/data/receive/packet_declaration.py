@@ -28,7 +28,8 @@ class PacketDeclaration(Declaration):
 
     Attributes:
         structure: layout of the packets, such as `7F1M`; see STRUCTURE.md.
-        is_double: `F`, `V`, `M` and `T` are float64, otherwise float32 (`double` in files).
+        is_double: whether `F`, `V`, `M` and `T` in the structure are float64 instead of float32
+            (key `double` in files).
         column_major: matrices are column-major, otherwise row-major.
         alignment: alignment of items in bytes: 1, 2, 4 or 8.
         scale: factor of all floating-point numbers; for matrices, of the position only.

@@ -366,7 +366,7 @@ class Recording(PacketFile):
             return bytes(Attachment.read(ReadDataStream(record)).data)
         except BROKEN as error:
             raise RecordingError(
-                self.path, f"file '{name}' in it is damaged: {mcap_reason(error)}"
+                self.path, f"the attached file '{name}' is damaged: {mcap_reason(error)}"
             ) from error
         except OSError as error:
             raise self._unreadable(error) from error

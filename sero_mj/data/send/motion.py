@@ -86,7 +86,7 @@ class InverseDynamics:
 
 
 def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
-    """Returns amplitudes by robot with which robots that move together do not collide.
+    """Returns the amplitudes of motion of each robot that avoid collisions between robots.
 
     Amplitudes of robots that collide in sampled poses, and of robots that carry them, are reduced.
     Collisions in the declared pose are ignored.

@@ -23,8 +23,8 @@ class FrankaClient(Reachable):
     Attributes:
         host: address of the robot. Several robots can use different addresses of this machine,
             127.0.0.1 to 127.255.255.254.
-        port: port of the robot; clients of libfranka always use 1337. 0 with `{port}` in `command`
-            for a free port.
+        port: port of the robot (clients of libfranka always use 1337). If it is 0, a free port is
+            selected and replaces `{port}` in `command`.
         command: command that starts the program, as for `udp`. If it exits with status 0, the run
             continues.
         clock: `real_time` sends a state every millisecond; `lockstep` waits for each command of a

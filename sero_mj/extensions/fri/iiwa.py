@@ -167,7 +167,7 @@ def pack(packet: bytes, version: str) -> bytes:
     """Converts a monitoring message to a packet of `STRUCTURES[version]`; raises ValueError."""
     message, is_framed = unframed(packet)
     if is_framed and version == "iiwa-1":
-        raise ValueError("it is framed as in FRI 2.7; set version = 'iiwa-2'")
+        raise ValueError("the message has the header of FRI 2.7; set version = 'iiwa-2'")
     fields = read_fields(message)
     header, link = read_fields(read_message(fields, 1)), read_fields(read_message(fields, 4))
     robot, ipo = read_fields(read_message(fields, 2)), read_fields(read_message(fields, 5))

@@ -52,7 +52,7 @@ _SOURCE = b"sero-mj"
 
 
 class Robot(Protocol):
-    """Interface of a robot for its server."""
+    """The methods of a simulated robot that the RTDE server calls."""
 
     @property
     def is_running(self) -> bool:

@@ -105,12 +105,13 @@ def has_key(place: tuple[Path, str], key: str) -> bool:
 
 @dataclass(frozen=True)
 class _Placement:
-    """The frame of the members of a model, or of the robots of a scene.
+    """The placement of the members of a model, or of the robots of a scene.
 
     Attributes:
+        T: pose (4, 4) of the frame of the members in the frame `mount`.
         scope: prefix of names, for example `justin_left_hand_`.
-        mirrored: whether the members are mirrored at the xz plane of the frame.
-        mount: reference frame of T on a robot; None for the world.
+        mirrored: whether the members are reflected at the xz plane of their frame.
+        mount: frame of a robot on which the members are mounted; None for the world.
         inside: files of the models that are being expanded, outermost first.
     """
 

@@ -101,8 +101,8 @@ class RobotDeclaration(Declaration):
             joint at the start of a DH table becomes the `dh_base_frame`.
         joint_names: n names, as in the original file of the robot and in messages, with any
             printable characters (default: J1, J2, ...).
-        link_names: n + 1 names of the base and the links in the original file of the robot. They
-            are additional names of the frames `base`, `link1`, ...
+        link_names: n + 1 names of the base and the links in the robot's original file. They can be
+            used instead of the frame names `base`, `link1`, ...
         link_frames: poses of all links of the original file by name, see `LinkFrame`. They relate
             ROS transforms (`tf`) to the robot.
         limbs: names of the joints of each limb, for branching robots. Routes and panels use them.
@@ -124,8 +124,9 @@ class RobotDeclaration(Declaration):
         directory: folder of the mesh files.
         filenames: geometry of the base and the n links: file names, tables (see `LinkGeometry`), or
             lists of these (default: shapes generated from the joint frames).
-        collisions: collision geometry of the base and the n links, like `filenames`. Meshes are
-            replaced by their convex hulls (default: the visual geometry, one hull per link).
+        collisions: collision geometry of the base and the n links, in the format of `filenames`.
+            Meshes are replaced by their convex hulls (default: one hull of the visual geometry per
+            link).
         colors: red, green, blue and alpha from 0 to 1 by name, for `filenames`.
         mjcf: MJCF with the geometry of the links, instead of `filenames` and `collisions`: a file
             relative to `directory`, text, or an object, see `Object`. It has the same joints.

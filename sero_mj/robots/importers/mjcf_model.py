@@ -338,7 +338,8 @@ def _moments(model: mujoco.MjModel) -> Iterator[Array]:
     axes = np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE)))
     places, center = model.jnt_qposadr[axes], model.qpos0[model.jnt_qposadr[axes]]
     limited = model.jnt_limited[axes].astype(bool)[:, None]
-    low, high = np.where(limited, model.jnt_range[axes], center[:, None] + [-_WIDE, _WIDE]).T
+    ranges = np.where(limited, model.jnt_range[axes], center[:, None] + [-_WIDE, _WIDE])
+    low, high = np.nan_to_num(ranges, nan=0.0, posinf=_WIDE, neginf=-_WIDE).T
     for _ in range(1 if _has_constant_arms(model) else _POSES):
         mujoco.mj_kinematics(model, data)
         mujoco.mj_comPos(model, data)

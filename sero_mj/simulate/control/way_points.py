@@ -60,7 +60,7 @@ _Arrivals = Annotated[Vector | None, AfterValidator(_rising)]
 def _one_of_two(times: Array | None, speed: float | None) -> None:
     if (times is None) == (speed is None):
         found = "neither" if times is None else "both"
-        raise ValueError(f"found {found} of times and speed; expected one of them")
+        raise ValueError(f"found {found} of `times` and `speed`; expected exactly one of them")
 
 
 def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]:

@@ -25,10 +25,10 @@ _random = random.Random()  # independent of the user's seed
 
 
 class Program:
-    """A running program of the user, which is ended together with all of its child processes.
+    """A program of the user that runs as a child process. It ends with all of its own children.
 
     Attributes:
-        name: file name.
+        name: file name of the program.
 
     Raises:
         DeclarationError: the program cannot be started.

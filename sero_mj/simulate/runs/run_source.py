@@ -150,9 +150,9 @@ class RunSource(Source):
         return f"{self.run.about}, {self.end:g} s"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """Returns the age of an external controller's oldest command in seconds, and 0.
+        """Returns the age of the oldest command of external controllers in seconds, and 0.
 
-        -1 if none.
+        Returns -1 twice if there are no external controllers.
         """
         ages = [float(values[event][0]) for event in self.events if event.endswith(_AGE)]
         return (max(ages), 0.0) if ages else (-1.0, -1.0)

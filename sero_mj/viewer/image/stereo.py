@@ -71,9 +71,10 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
 def looked_at(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, centre: NDArray[np.float64]
 ) -> float:
-    """Returns the distance of the look-at point of a camera, m.
+    """Returns the distance from a camera to its look-at point, m.
 
-    For a camera of the model, this is the distance of `centre`, the scene's center (3,), m.
+    A camera of the model has no look-at point. The result is then the distance to the center of the
+    scene, `centre` (3,), m.
     """
     near = float(scene.camera[0].frustum_near)
     is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE

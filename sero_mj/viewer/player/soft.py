@@ -23,7 +23,7 @@ _MAX_PIECES = 4000  # maximum number of tendon pieces
 
 @dataclass(frozen=True, eq=False)
 class Soft:
-    """Tendons, as S straight pieces, and drawn flexes, with V vertices, in F frames.
+    """Tendons, which consist of S straight pieces, and flexes with V vertices, in F frames.
 
     Attributes:
         vertices: positions of the vertices, shape (F, V, 3), m.
