@@ -1,4 +1,4 @@
-"""Loads scenes, scenarios, robots and groups of robots by file or shipped name."""
+"""Loads scenes, scenarios, robots and groups of robots by file or included name."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def load_scene(
     the scene is not simulated, and `scene.withheld` contains the request.
 
     Args:
-        name: a file (TOML, X3D), or the name of a shipped scene, scenario, robot or group.
+        name: a file (TOML, X3D), or the name of an included scene, scenario, robot or group.
         overrides: mapping from `robot.field` to values that replace the values of the file. An
             input that is overridden (`lwr.joint_angles`) has no route.
         by_hand: whether users can pull the robots of a scenario in a window or on a page.
@@ -52,7 +52,7 @@ def load_scene(
         replay: recording of the scenario to play instead of simulating.
 
     Raises:
-        UnknownName: there is no such file or shipped name.
+        UnknownName: there is no such file or included name.
         DeclarationError: the file has errors; the exception contains all errors.
         UsageError: `overrides` contains a robot other than the loaded robot.
     """

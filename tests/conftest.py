@@ -78,7 +78,7 @@ _SLOW = (
     "test_snippet", "test_stable_baselines", "test_torque_loop", "test_trees", "test_trigger",
     "test_zenoh",
 )  # fmt: skip
-# These open the ports of shipped scenes, so one worker runs them all.
+# These open the ports of included scenes, so one worker runs them all.
 _PORTS = (
     "test_cli", "test_docs", "test_fri", "test_mirror", "test_packet_buffer", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_video",

@@ -186,7 +186,7 @@ def test_every_block_of_the_documentation_runs(page: Path, tmp_path: Path) -> No
                 shipped = [path.read_text() for path in (ROOT / "scenes").glob("*.toml")]
                 is_entry_point = text.startswith("[project.entry-points")
                 known = is_entry_point or any(text in scene for scene in shipped)
-                assert known, f"no shipped scene has this part: {text}"
+                assert known, f"no included scene has this part: {text}"
             elif note == "background":
                 background.append(shell.begin(shortened(text)))
             elif language == "bash":

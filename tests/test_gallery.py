@@ -1,4 +1,4 @@
-"""The gallery: its page matches its list, and all shipped robots are shown."""
+"""The gallery: its page matches its list, and all included robots are shown."""
 
 from __future__ import annotations
 

@@ -350,7 +350,7 @@ def test_tile_and_dropped_folder_are_opened_in_a_browser(
     browser: Any, tmp_path: Path, home: None
 ) -> None:
     program = (
-        "from sero_mj.viewer.session import start_page\n"  # without the ports of shipped scenes
+        "from sero_mj.viewer.session import start_page\n"  # without the ports of included scenes
     )
     program += "start_page.listening = lambda: start_page.PortMonitor([])\n"
     program += "from sero_mj.cli import main\nmain(['view', '--web', '--fresh'])"

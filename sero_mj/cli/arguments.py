@@ -397,7 +397,7 @@ def read_recorded_run(
 
 
 def note_choice(recording: Path, scene: str) -> None:
-    """Prints a note if a shipped robot was chosen for a ROS recording by its joint names."""
+    """Prints a note if an included robot was chosen for a ROS recording by its joint names."""
     from ..data.record.formats import look_into
 
     if not paths.is_temporary(scene) and look_into(recording).names_joints:

@@ -51,7 +51,7 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
     """Check a scene, a recording or this machine.
 
     Attributes:
-        scene: scene, robot or recording: a file or a shipped name (default: check this machine).
+        scene: scene, robot or recording: file or included name (default: check this machine).
         fk: print the base-to-flange transform of a robot.
         joint_angles: comma-separated joint values, rad or m; implies --fk (default: home pose).
         of: robot for --fk, required in a scene with several robots.

@@ -48,7 +48,7 @@ the file lists the estimated masses.
 
 A table (.csv) has one row per valid packet: seconds since the recording began, then all values in
 full precision. Joints are in the order of the robot of --scene, of the recorded robot description
-or of the shipped robot with the same joint names; otherwise in the order of the messages.
+or of the included robot with the same joint names; otherwise in the order of the messages.
 
 .toml and .x3d convert a scene from and to X3D. What the other format cannot express is listed.
 """
@@ -59,7 +59,7 @@ class ExportOptions(SceneArgument, ShownOptions):
     """Write a scene or run as a page, glTF, table, MJCF, TOML or X3D file.
 
     Attributes:
-        scene: scene, scenario, robot or recording: a file or a shipped name.
+        scene: scene, scenario, robot or recording: file or included name.
         file: output file; same as --output.
         output: output file; the file name's ending selects the format.
         seconds: duration, s (default: until the end, or 10 s for live sources).

@@ -1,4 +1,4 @@
-"""`sero-mj list`: lists shipped robots and scenes, installed plug-ins, and file keys."""
+"""`sero-mj list`: lists included robots and scenes, installed plug-ins, and file keys."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ GROUP, ORDER = "files", 56
 
 
 class ListOptions(Options):
-    """List the shipped robots, scenes, scenarios and environments.
+    """List the included robots, scenes, scenarios and environments.
 
     Attributes:
         known: list third-party robots that can be used by name; see docs/robot_files.md.

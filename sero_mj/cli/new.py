@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _HELP = """\
 examples:
   sero-mj new my_robot                     my_robot/robot.toml with 6 joints, and a scene
-  sero-mj new my_lwr --like lwr            a copy of a shipped robot
+  sero-mj new my_lwr --like lwr            a copy of an included robot
   sero-mj new --snippet c                  code that sends from your control loop to sero-mj
 
 The first line of both files lets editors complete and check keys. Existing files are not replaced.
@@ -114,9 +114,9 @@ class NewOptions(Options):
     Attributes:
         name: name of the robot.
         joints: number of joints.
-        like: robot to copy: a shipped name or a folder.
+        like: robot to copy: included name or folder.
         snippet: name of example code to print instead of writing files.
-        robot: robot in the scene of the snippet: a file or a shipped name.
+        robot: robot in the scene of the snippet: file or included name.
         host: address at which the robot's computer reaches sero-mj.
         port: UDP port to which the example code sends.
         scene: print the scene or scenario of the snippet instead of the code.
@@ -330,7 +330,7 @@ def snippets() -> Mapping[str, Snippet]:
 def snippet_text(name: str, robot: str | None, host: str, port: int, *, is_scene: bool) -> str:
     """Returns the code of a snippet, or its scene or scenario if `is_scene` is true.
 
-    `robot` is a file or a shipped name; None selects the robot of the snippet.
+    `robot` is a file or an included name. None selects the robot of the snippet.
     """
     from ..load import load_robot
 

@@ -35,7 +35,7 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
 
     A recording is shown in the scene `shown` if this scene has the recorded sources. Otherwise,
     it is shown in a scene with the recorded name: a recent scene, a scene in the same folder, a
-    shipped scene, or the scene that is stored in the recording.
+    included scene, or the scene that is stored in the recording.
 
     Raises:
         SeroError: the file does not exist, or no scene shows the recording.

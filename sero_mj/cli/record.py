@@ -74,7 +74,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
     """Record the packets of a scene's sources as MCAP.
 
     Attributes:
-        scene: scene: a file or a shipped name.
+        scene: scene: file or included name.
         output: output file; with --trigger, also a folder (default: the current folder).
         out: output file or folder; same as OUT.mcap.
         duration: duration, s (default: until Ctrl+C).

@@ -94,7 +94,7 @@ def _each(schema: Schema, of: str) -> Schema:
 
 
 _TEXT: Schema = {"type": "string"}
-_MODEL: Schema = {"type": "string", "description": "a shipped name, a folder or a file"}
+_MODEL: Schema = {"type": "string", "description": "included name, folder or file"}
 _ARGUMENTS: Schema = {"type": "object", "description": "xacro arguments of the model by name"}
 
 
@@ -168,8 +168,8 @@ def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
     sensors = {"type": "object", "additionalProperties": False,
                "properties": dict.fromkeys(SIGNALS, sensor)}  # fmt: skip
     return {
-        "scene": {**_TEXT, "description": "scene of another file: a file or a shipped name"},
-        "extends": {**_TEXT, "description": "scenario to extend: a file or a shipped name"},
+        "scene": {**_TEXT, "description": "scene of another file: file or included name"},
+        "extends": {**_TEXT, "description": "scenario to extend: file or included name"},
         "set": {
             "type": "object",
             "description": "overrides of the extended scenario by dotted key",

@@ -68,7 +68,7 @@ class SceneArgument(Options):
     """The scene of a command.
 
     Attributes:
-        scene: scene or robot: a file or a shipped name.
+        scene: scene or robot: file or included name.
     """
 
     scene: Annotated[str, positional("SCENE")]

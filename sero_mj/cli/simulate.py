@@ -53,7 +53,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     """Run a scenario faster than real time and evaluate its expectations.
 
     Attributes:
-        scenario: scenario: a file or a shipped name.
+        scenario: scenario: file or included name.
         record: record every step in an MCAP file.
         signals_rate: rate of decoded values in the recording for other programs, 1/s; 0 for none.
         csv: write every step to a table.

@@ -46,7 +46,7 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     """Show packet rates and errors of the sources of a scene.
 
     Attributes:
-        scene: scene or recording: a file or a shipped name.
+        scene: scene or recording: file or included name.
         duration: duration, s (default: until Ctrl+C).
         topics: list the topics at an address such as ros2://, and the robots that a topic can move.
         as_json: print only JSON, at the end.

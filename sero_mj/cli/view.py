@@ -51,7 +51,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     """Show a scene live in a window or on a web page.
 
     Attributes:
-        scene: scene, robot or recording: a file or a shipped name (default: show a start page).
+        scene: scene, robot or recording: file or included name (default: show a start page).
         window: open a window on this screen (default: on if there is a display).
         web: serve a web page instead of opening a window.
         port: port of the page (default: the first free port from 8080).

@@ -195,7 +195,7 @@ class PacketFile(ABC):
         return None
 
     def shipped_robots(self, source: str | None = None) -> list[str]:
-        """Returns the shipped robots with the joint names of the recording, or of one source."""
+        """Returns the included robots with the joint names of the recording, or of one source."""
         return []
 
     @abstractmethod

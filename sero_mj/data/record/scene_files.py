@@ -71,7 +71,7 @@ def write_scene(recording: PacketFile, name: str, folder: Path) -> Path | None:
         elif target.parent == beside:
             target = PurePosixPath(target.name)
         elif (paths.models_dir() / target.parent.name).is_dir():
-            continue  # shipped robots have meshes that are not in the recording
+            continue  # included robots have meshes that are not in the recording
         if target.is_absolute() or ".." in target.parts:
             continue
         file = folder / target

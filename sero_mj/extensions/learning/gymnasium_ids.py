@@ -17,9 +17,9 @@ _MANY = "sero_mj.extensions.learning.gymnasium_vector:make_gymnasium_vector"
 def register_environments() -> None:
     """Registers all environments that are not yet registered with Gymnasium.
 
-    The names are `sero_mj/ROBOT-TASK-v0` for shipped robots (`sero_mj/lwr-reach-v0`),
+    The names are `sero_mj/ROBOT-TASK-v0` for included robots (`sero_mj/lwr-reach-v0`),
     `sero_mj/TASK-v0` for any robot (`robot="panda"`, a folder or a file), `sero_mj/SCENARIO-v0` for
-    shipped scenarios, and `sero_mj/scenario-v0` for any scenario (`scenario="my.toml"`).
+    included scenarios, and `sero_mj/scenario-v0` for any scenario (`scenario="my.toml"`).
     `gymnasium.make_vec` steps robots with a task together, and scenarios one by one.
     """
     from gymnasium.envs.registration import register, registry

@@ -122,7 +122,7 @@ class RobotSettings(Settings):
 
 
 def list_environments() -> list[str]:
-    """Returns the names of the environments of shipped robots and scenarios."""
+    """Returns the names of the environments of included robots and scenarios."""
     return [f"{robot}/{task}" for robot in list_models() for task in TASKS] + list_scenarios()
 
 

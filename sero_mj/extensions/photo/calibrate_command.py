@@ -57,7 +57,7 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
     Attributes:
         photo: photo taken by the camera.
-        robot: file or shipped name of a robot or scene.
+        robot: file or included name of a robot or scene.
         joint_angles: joint angles of the robot in the photo, separated by commas, rad or m.
         replay: take the pose from a recording.
         start: time of the photo in the recording, s (default: the first packet).

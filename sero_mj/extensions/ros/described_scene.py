@@ -89,7 +89,7 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 def scenes_of_bag(
     bag: PacketFile, choose: str, source: str | None = None, wanted: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yields scenes of the robot in a recording of ROS, described there or shipped.
+    """Yields scenes of the robot in a recording of ROS, described there or included in sero-mj.
 
     Args:
         source: the source that must have the robot's joints (default: any).
@@ -98,7 +98,7 @@ def scenes_of_bag(
     Raises:
         RecordingError: the recording has no source.
         UsageError: the recording has no such source, or it does not describe its robot, and several
-            shipped robots have its joints.
+            included robots have its joints.
     """
     if source is not None:
         bag.choose_source(source)
@@ -120,7 +120,7 @@ def scenes_of_bag(
 
 
 def shipped_robots_of(bag: PacketFile, source: str | None = None) -> list[str]:
-    """Returns the shipped robots with the joints of a recording, or of one of its sources."""
+    """Returns the included robots with the joints of a recording, or of one of its sources."""
     sources = [each for name, each in bag.sources.items() if source in (None, name)]
     robots = [robot for each in sources for robot in robots_with(each.declared["joints"])]
     return list(dict.fromkeys(robots))

@@ -110,7 +110,7 @@ class Topic:
 
     @property
     def robots(self) -> list[str]:
-        """Names of shipped robots whose joint names are in the messages."""
+        """Names of included robots whose joint names are in the messages."""
         return robots_with(self.joints)
 
 
@@ -163,7 +163,7 @@ class Found:
 
     Attributes:
         urdf: URDF of the robot, or empty if it is not published.
-        robots: shipped robots with the same joint names.
+        robots: included robots with the same joint names.
         joint_states: topic of the joint states; the default topic if none is published.
     """
 
@@ -262,7 +262,7 @@ class _RobotSearch:
 
 
 def robots_with(joints: Sequence[str]) -> list[str]:
-    """Returns the shipped robots with these joint names, possibly with one common prefix.
+    """Returns the included robots with these joint names, possibly with one common prefix.
 
     Only the robots with the largest number of joints are returned. For example, an arm is not
     returned if the same arm with a gripper matches as well.

@@ -65,7 +65,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         if not missing and digest_of_models(models) != self._models:
             missing = models
         if missing and not found:
-            found.append(f"the shipped robot {missing[0].parent.name} differs")
+            found.append(f"the included robot {missing[0].parent.name} differs")
         if not found:
             try:
                 self._job.below(self._root).check()

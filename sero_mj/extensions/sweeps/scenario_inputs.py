@@ -2,7 +2,7 @@
 
 Another process reads the scenario and makes its simulation, while all opened files are recorded.
 The files are packed with their folders and unpacked below another root, so relative names stay
-valid; absolute names in texts are rewritten. Installed files (Python, packages, shipped robots) are
+valid; absolute names in texts are rewritten. Installed files (Python, packages, our robots) are
 not packed; they must be the same on the other machine.
 """
 
@@ -91,7 +91,7 @@ def unpack(archive: bytes, root: Path) -> list[Path]:
 
 
 def digest_of_models(files: Iterable[Path]) -> dict[str, str]:
-    """Returns the SHA-256 of the shipped files among these, by name in the folder of models."""
+    """Returns the SHA-256 of the included files among these, by name in the folder of models."""
     shipped = paths.models_dir().resolve()
     found = {}
     for file in files:
@@ -130,7 +130,7 @@ def _installed() -> tuple[Path, ...]:
 def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]]) -> set[Path]:
     """Reads and makes variants of a scenario.
 
-    Returns all opened files, including shipped robots.
+    Returns all opened files, also those of included robots.
     """
     noted: set[str] = set()
 

@@ -63,7 +63,7 @@ class SweepOptions(EngineOptions, JsonOptions):
     """Run variants of a scenario in parallel, and compare their outcomes.
 
     Attributes:
-        scenario: scenario file, or name of a shipped scenario.
+        scenario: scenario file, or name of an included scenario.
         vary: key and values of a variable; may be repeated.
         mutations: file with mutations that expectations should detect.
         samples: number of variants; with --grid, number of values per range (default: 20).

@@ -1,4 +1,4 @@
-"""Finds robots by names that are neither files nor shipped robots.
+"""Finds robots by names that are neither files nor included robots.
 
 Built-in places are the package `robot_descriptions`, MuJoCo Menagerie and ROS packages. Other
 packages add a `RobotPlace` with an entry point in the group `sero_mj.robots`.
@@ -171,7 +171,7 @@ class OtherSpellings(RobotPlace):
     """Shipped robots under names of manufacturers and drivers, such as `franka_research_3`."""
 
     order: ClassVar[int] = 30
-    title: ClassVar[str] = "other spellings of shipped robots"
+    title: ClassVar[str] = "other spellings of included robots"
 
     def names(self) -> list[str]:
         return sorted(name for name, usual in _ALIASES.items() if usual in list_models())

@@ -90,7 +90,7 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
         if not robots:
             found = f"found {', '.join(recording.attachments) or 'no files'}"
             if recording.names_joints:
-                found = "no robot description, and no shipped robot has these joints"
+                found = "no robot description, and no included robot has these joints"
             reason = f"has no robot: {found}; pass a scene"
             raise RecordingError(path, reason, needs_scene=True)
         receivers = {name: _receiver_of(recording, name) for name in names}

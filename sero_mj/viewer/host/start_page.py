@@ -1,4 +1,4 @@
-"""`StartPage`: lists recent views, shipped scenes and robots, and expected packets.
+"""`StartPage`: lists recent views, included scenes and robots, and expected packets.
 
 `window/start_window.py` and `web/start_host.py` display it.
 """
@@ -248,7 +248,7 @@ class PortMonitor:
 
 
 def listening() -> PortMonitor:
-    """Returns a monitor for all shipped and recent scenes."""
+    """Returns a monitor for all included and recent scenes."""
     recent = [view for view in recent_views() if not view.replay]
     shipped = [RecentView(name) for name in paths.list_scenes()]
     return PortMonitor(list(dict.fromkeys([*recent, *shipped])))

@@ -265,7 +265,7 @@ def view(
     page; the page stays at its port.
 
     Args:
-        scene: a `Scene`, a TOML file, the name of a shipped scene, scenario or robot, or an
+        scene: a `Scene`, a TOML file, the name of an included scene, scenario or robot, or an
             `overlay` whose data the caller steps.
         web: True for a page, whose address is printed; False for a window; None for a page only if
             there is no display for a window.

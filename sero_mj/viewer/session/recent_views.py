@@ -28,7 +28,7 @@ class RecentView(NamedTuple):
     """A recent view.
 
     Attributes:
-        scene: name of a shipped scene, or absolute path of a file.
+        scene: name of an included scene, or absolute path of a file.
         replay: absolute path of the played recording, or an empty string.
     """
 

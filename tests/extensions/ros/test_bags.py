@@ -519,7 +519,7 @@ def test_commands_for_runs_find_the_robot_of_a_bag(tmp_path: Path, capsys: Any) 
     assert told.splitlines() == [chosen] * 2
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "plot", str(other), "-o", str(tmp_path / "other.pdf"))
-    assert status == 2 and "no shipped robot has these joints" in told and "--scene SCENE" in told
+    assert status == 2 and "no included robot has these joints" in told and "--scene SCENE" in told
 
 
 def test_robot_is_moved_by_the_topic_with_its_joints(tmp_path: Path, capsys: Any) -> None:
