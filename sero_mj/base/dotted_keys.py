@@ -40,7 +40,7 @@ def with_value(
 
     Args:
         table: with nested tables and lists.
-        parts: of the key, a name first; missing tables are created.
+        parts: parts of the key, a name first. Missing tables are created.
         value: a number replaces every element of a list of numbers.
         built: the object built from the table; missing lists are taken from its arrays.
         below: another table that this one overrides; missing lists and frames are taken from it.

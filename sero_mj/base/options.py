@@ -33,7 +33,7 @@ class Option:
         metavar: placeholder of the value in help texts (default: the name in capital letters).
         flags: all names of the option, the long one last (default: `--` and the field name).
         bare: value of the option without an argument; None if it requires one.
-        is_positional: whether it is a positional argument.
+        is_positional: whether the field is a positional argument.
     """
 
     metavar: str = ""

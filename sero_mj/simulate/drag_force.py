@@ -34,7 +34,7 @@ class Pull:
 
     Attributes:
         at: name of the frame.
-        point: shape (3,), in the frame, m.
+        point: point in the frame (3,), m.
         first: first row of the log in which it acts.
         forces: force in each step, shape (3,), in the world, N.
     """
@@ -91,7 +91,7 @@ class DragForce:
 
         Args:
             frame: frame of the link, for example `lwr/link3`.
-            point: shape (3,), in the frame, m.
+            point: point in the frame (3,), m.
 
         Raises:
             UnknownName: there is no such frame.

@@ -23,8 +23,8 @@ class Drives:
     """Steps a plant with the commands of its controllers.
 
     Args:
-        plant: its timestep divides that of the controllers.
-        robots: in the plant's order.
+        plant: plant whose time step divides the time step of the controllers.
+        robots: robots in the order of the plant.
 
     Attributes:
         loop: joint torque control; None if the run has none.

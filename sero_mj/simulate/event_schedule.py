@@ -104,7 +104,7 @@ class CarriedObjects:
 
         Args:
             grasp: T_flange_object.
-            poses: its poses in every step, shape (T, 16), to be written.
+            poses: output array (T, 16) for the poses of the object in each step.
         """
         self._carried[plant.row, name] = plant.flange_body(robot), grasp, poses
         self._sort()

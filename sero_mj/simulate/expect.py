@@ -44,7 +44,7 @@ class Outcome:
 
     Attributes:
         name: name of the expectation.
-        holds: whether it passed.
+        holds: whether the expectation passed.
         text: found and expected values.
         value: found value; NaN for none.
     """

@@ -198,7 +198,7 @@ class Physics:
         They are valid until `forward`.
 
         Args:
-            out: shape (m, k), to be written.
+            out: output array (m, k).
         """
         if self.batch is None:
             _read_inner_forces(self._data, couplings, len(dofs_with_friction), out[0])

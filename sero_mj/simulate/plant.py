@@ -88,7 +88,7 @@ class PlantRows:
         """Resets the robots of a row to rest. In a batch, its model is reset, too.
 
         Args:
-            joint_angles: shape (n,), rad; None for the declared ones.
+            joint_angles: joint values (n,), rad (default: the declared values).
         """
         physics, data, joints = self.physics, self._scratch, self.joints
         if physics.m > 1 and physics.forget_model(row):
@@ -185,7 +185,7 @@ class Plant:
     Args:
         world: compiled with `dynamic=True`.
         sensors: None for perfect sensors.
-        timestep: in seconds; None for the model's.
+        timestep: time step, s (default: the time step of the model).
 
     Attributes:
         measured: sensor readings, shape (3, n); always the same array.
@@ -324,8 +324,8 @@ class Plant:
 
         Args:
             frame: frame at whose origin they act, for example `lwr/flange`.
-            force: shape (3,), N.
-            torque: shape (3,), Nm.
+            force: force vector (3,), N.
+            torque: torque vector (3,), Nm.
             expressed_in: frame in whose axes both are expressed.
             at: point of application in `frame`, shape (3,), m.
 

@@ -42,7 +42,7 @@ class Expression:
     """A parsed origin.
 
     Attributes:
-        negated: whether it begins with `not` and is not a condition.
+        negated: whether the expression begins with `not` and is not a condition.
     """
 
     text: str

@@ -25,7 +25,7 @@ class Action(ABC):
 
     Attributes:
         unit: unit of an action, for messages.
-        spec: shape (n,) and bounds of an action.
+        spec: specification of an action with its shape (n,) and bounds.
         controller: controller that executes the action.
     """
 

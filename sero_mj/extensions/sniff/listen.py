@@ -77,12 +77,12 @@ class Sniffer:
     """Receives packets of any size from any sender; raises SourceError.
 
     Args:
-        host: as `host` of `UdpReceiver`.
+        host: local address, like `host` of `UdpReceiver`.
         port: port to listen on; 0 lets the system choose.
-        interface: as `interface` of `UdpReceiver`.
+        interface: network interface, like `interface` of `UdpReceiver`.
 
     Attributes:
-        streams: by sender and size, in the order of their first packets.
+        streams: mapping from sender and size to streams, in the order of the first packets.
         ignored: number of packets of streams beyond the first hundred.
     """
 

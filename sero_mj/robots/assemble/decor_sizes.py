@@ -52,7 +52,8 @@ class Sizes:
     Attributes:
         link: typical distance between adjacent joints, m.
         arrow_radius: minimum radius at which links do not hide the arrow, (n,), m.
-        full_width: of arrows over their radius, (n,): 1, or less for joints close to each other.
+        full_width: full width of arrows relative to their radius (n,): 1, or less for joints that
+            are close to each other.
         axes: length of the coordinate axes of the body that each joint moves, (n,), m.
         load: approximate maximum gravity load, weight times distance, (n,), Nm or N.
     """

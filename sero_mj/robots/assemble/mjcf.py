@@ -311,9 +311,9 @@ def build_surroundings(
     """Returns surroundings like those of scenes, without robots.
 
     Args:
-        floor: its height, m; None for no floor.
-        middle: of the lit region, (3,), m.
-        size: of the lit region, m.
+        floor: height of the floor, m; None for no floor.
+        middle: middle of the lit region (3,), m.
+        size: size of the lit region, m.
     """
     root = mujoco.MjSpec()
     palette = PALETTES[look]

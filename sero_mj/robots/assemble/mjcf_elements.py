@@ -41,7 +41,7 @@ def mesh_assets(
     Args:
         path: a file in any format supported by `read_mesh`.
         scale: m per unit, one number or (3,); negative numbers mirror the mesh.
-        hull: whether it gets a convex hull: "always" for collisions, for which flat meshes are
+        hull: convex hull of the mesh: "always" for collisions, for which flat meshes are
             rejected; "unless flat" for masses; "never" for visual geometry.
 
     Raises:

@@ -37,10 +37,10 @@ class RobotPart:
         dofs: index of every joint in `qvel`, (n,).
         mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
         bodies: ids of the base and every link, (n + 1,).
-        joints: its rows in the world's `JointTable`.
+        joints: rows of the robot in the `JointTable` of the world.
         free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
             a planar base, (3,); else empty.
-        sizes: of its arrows if `fit_arrows`; None for declared sizes.
+        sizes: sizes of the arrows with `fit_arrows`; None for declared sizes.
     """
 
     robot: SerialRobot
@@ -135,7 +135,7 @@ class DoublePart:
         frames: index in `mocap_pos` of the frame of every link, (n,), which is also set for hidden
             links; empty for a path.
         path: joint angles of every row, (rows, n); None for a single double.
-        joints: its rows in the world's `JointTable`; empty for a path.
+        joints: rows of the double in the `JointTable` of the world; empty for a path.
         below: the double of the carrier of its robot, if both belong to one group; this double is
             mounted on it while it has a pose.
     """

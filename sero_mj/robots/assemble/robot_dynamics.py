@@ -64,14 +64,14 @@ class RobotDynamics:
     """Parameters of the equations of motion of a robot, in the frames of the DH rows.
 
     Attributes:
-        masses: of the base and every link, (n + 1,), kg.
+        masses: masses of the base and the links (n + 1,), kg.
         centers: centers of mass, (n + 1, 3), m.
         tensors: about the centers of mass, (n + 1, 3, 3), kg m2.
         motor_inertias: reflected to the joints, (n,), kg m2.
         viscous_friction: on the motor side of the torque sensor, (n,), Nm s/rad.
         coulomb_friction: on the motor side of the torque sensor, (n,), Nm.
-        joint_stiffness: (n,), Nm/rad.
-        joint_damping: (n,), Nm s/rad.
+        joint_stiffness: stiffness of the joints (n,), Nm/rad.
+        joint_damping: damping of the joints (n,), Nm s/rad.
         estimated: keys of `[dynamics]` that are estimated.
         hulls: vertices of the convex hull of each link, (k, 3), m; None without meshes.
     """

@@ -168,8 +168,8 @@ class World(WorldView):
         Args:
             target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. If the name is that of a
                 group, the values are divided among its robots, as the values of a route.
-            values: (n,), (3,), a frame (4, 4), or one number. In an input that is only displayed,
-                NaN and numbers beyond `Input.limits` mean no data.
+            values: array (n,) or (3,), frame (4, 4), or one number. In an input that is only
+                displayed, NaN and numbers beyond `Input.limits` mean no data.
 
         Raises:
             UnknownName: no such name or input.

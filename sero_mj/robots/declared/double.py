@@ -44,7 +44,7 @@ class Double(Posed):
         path: joint angles (k, n) along a planned motion, shown by several doubles that fade
             towards the start. A path has no inputs.
         path_length: number of doubles that show the path.
-        visible: whether it is shown.
+        visible: whether the double is shown.
         show_axes: whether coordinate axes are shown at every joint and the flange.
         show_arrows: whether round arrows are shown.
         arrow_quantity: quantity of the arrows (default: that of the robot).

@@ -78,12 +78,12 @@ def scene_from_tables(
     """Builds the valid parts of a scene and reports the problems of the rest.
 
     Args:
-        overrides: values by dotted key, which override the file: any key that it takes
-            (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or the name of a
-            robot, a group, an object, ... and a key of that (`lwr.dynamics.coulomb_friction[1]`).
-            Routes to these are dropped.
-        known: names of other sections of such files, suggested when one is mistyped.
-        lines: of the keys in the file; those of TOML when None.
+        overrides: mapping from dotted keys to values that override the file. A key is a key of
+            scene files (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or starts
+            with the name of a robot, group or object (`lwr.dynamics.coulomb_friction[1]`). Routes
+            to overridden inputs are removed.
+        known: names of additional sections, which are suggested if a section is mistyped.
+        lines: line numbers of the keys (default: read from the TOML file).
 
     Returns:
         the scene without its invalid parts, and all problems. Sources and routes are checked in

@@ -111,7 +111,7 @@ class JointTree(ABC):
         """Returns T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
 
         Args:
-            joint_angles: (..., n), rad or m.
+            joint_angles: joint values (..., n), rad or m.
             base_frame: T_world_base (..., 4, 4); identity if None.
         """
         links = self.link_transforms(joint_angles)
@@ -170,7 +170,7 @@ class JointTree(ABC):
         Rows 0 to 2 are the linear velocity (m per rad or m), rows 3 to 5 the angular velocity.
 
         Args:
-            joint_angles: (..., n), rad or m.
+            joint_angles: joint values (..., n), rad or m.
             base_frame: T_world_base (4, 4); identity if None.
             flange_frame: T_link_flange (4, 4); identity if None.
             link: index of the frame that carries the flange.

@@ -149,7 +149,7 @@ class CartesianImpedanceController(Controller):
         damping: ratio, a number or (m, 1).
         timestep: s between two calls.
         in_flange: whether K is in the axes of the target, instead of the world.
-        nullspace_stiffness: (n,) or (m, n), Nm/rad.
+        nullspace_stiffness: stiffness in the null space (n,) or (m, n), Nm/rad.
         damping_every: s.
     """
 

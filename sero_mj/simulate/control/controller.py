@@ -65,17 +65,17 @@ class Sensed:
     """The measurements of the sensors of one robot, in arrays that are updated in place.
 
     Args:
-        values: (3, n), C-contiguous float64; used without a copy.
-        motor_state: of elastic joints, (2n,); used without a copy. None for rigid joints, whose
-            motor state is that of the links.
-        rows: () for one robot; (m,) for m robots, which are then the first axis of all arrays.
+        values: array (3, n), C-contiguous float64; used without a copy.
+        motor_state: motor angles and velocities of elastic joints (2n,), used without a copy; None
+            for rigid joints, whose motor state is that of the links.
+        rows: shape of the first axes of all arrays: () for one robot, (m,) for m robots.
 
     Attributes:
         time: since the start, s.
         values: angles, velocities and torques, (3, n); the next four are views of it.
         state: angles, then velocities, (2n,).
-        angles: (n,), rad or m.
-        velocities: (n,), per second.
+        angles: joint values (n,), rad or m.
+        velocities: joint velocities (n,), rad/s or m/s.
         torques: measured on the link side of the gears, (n,), Nm or N.
         motor_state: angles, then velocities of the motors, (2n,), on the link side of the gears.
             Springs and dampers must act on these: with those of the links, the control would not
@@ -129,15 +129,15 @@ class Target:
 
     Attributes:
         motion: angles, velocities and accelerations, (3, n); the next three are views of it.
-        angles: (n,), rad or m.
-        velocities: (n,), per second.
-        accelerations: (n,), per second squared.
-        torques: (n,), Nm or N, added to the torques of the controller.
+        angles: joint values (n,), rad or m.
+        velocities: joint velocities (n,), rad/s or m/s.
+        accelerations: joint accelerations (n,), rad/s2 or m/s2.
+        torques: torques (n,), Nm or N, to be added to the torques of the controller.
         has_torques: whether `torques` and `wrench` are added. False is faster if both are zero.
         pose: T_world_flange, (4, 4), m; the next two are views of it.
-        position: (3,), m.
-        rotation: (3, 3).
-        twist: of the flange in world axes, (6,): m/s, then rad/s.
+        position: position of the flange (3,), m.
+        rotation: rotation matrix of the flange (3, 3).
+        twist: twist of the flange in world axes (6,): m/s, then rad/s.
         wrench: exerted by the robot at the flange, in world axes, (6,): N, then Nm.
         posture: target angles of the null space, (n,), rad or m.
     """

@@ -452,8 +452,8 @@ def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array
     energy, and the result for equal ratios is exact.
 
     Args:
-        mass: (..., n, n), symmetric, positive definite.
-        stiffness: (..., n, n), symmetric, positive semidefinite.
+        mass: mass matrices (..., n, n), symmetric and positive definite.
+        stiffness: stiffness matrices (..., n, n), symmetric and positive semidefinite.
         ratio: damping ratio, 1 for critical damping; a number, (n,) or (..., n).
 
     Source: Albu-Schäffer, Ott, Frese, Hirzinger 2003, Cartesian Impedance Control of Redundant

@@ -26,9 +26,9 @@ class LimitedController:
     The torques of the first step are not rate-limited.
 
     Args:
-        limits: (n,), Nm or N.
+        limits: torque limits (n,), Nm or N.
         timestep: s between two calls.
-        rates: (n,), Nm/s or N/s; None for no limit.
+        rates: maximum rates of the torques (n,), Nm/s or N/s; None for no limit.
 
     Attributes:
         requested: torques of the last step before limiting, (n,); updated in place.
@@ -191,7 +191,7 @@ def make_controller(
         controller: a declaration, or any object with the method `torques` of `Controller`.
         model: the controller's own model of the robot; not shared.
         timestep: s between two calls.
-        torque_limits: of the robot, (n,), Nm or N; None for no limits.
+        torque_limits: torque limits of the robot (n,), Nm or N; None for no limits.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.

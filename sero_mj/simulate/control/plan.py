@@ -92,7 +92,7 @@ def make_plan(
 
     Args:
         target: None to stay at the start or, unless `needs_target`, for no target.
-        times: (T,), s.
+        times: times of the rows (T,), s.
         start: initial joint angles, (n,), rad or m; the declared ones if None.
 
     Raises:
@@ -141,7 +141,7 @@ def follow_poses(
     limit that it would not reach with another position of the elbow.
 
     Args:
-        model: of the robot; this function updates it.
+        model: model of the robot, which this function updates.
         start: initial angles, (n,), rad or m.
 
     Raises:

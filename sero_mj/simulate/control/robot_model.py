@@ -46,16 +46,16 @@ class RobotModel:
         joints: ids of the hinge and slide joints of the robot, base to flange.
         site: id of the site at the flange. Exactly one of `site` and `body` must be given.
         body: id of the body whose frame is the flange frame.
-        name: of the robot, for error messages.
+        name: name of the robot in error messages.
 
     Attributes:
         rows: leading axes of all arrays: () for one robot, see `RobotModels`.
         n: number of joints.
         joint_names: without the prefix of the robot.
-        position_limits: (n, 2), lower and upper, rad or m; infinite if unknown.
-        velocity_limits: (n,), rad/s or m/s; infinite if unknown.
-        motor_inertia: as reflected to the joint, on the diagonal of M, (n,), kg m2 or kg.
-        flange_position: (3,), m, in the world; updated in place by `update`.
+        position_limits: lower and upper limits (n, 2), rad or m; infinite if unknown.
+        velocity_limits: velocity limits (n,), rad/s or m/s; infinite if unknown.
+        motor_inertia: motor inertias at the joints (n,), on the diagonal of M, kg m2 or kg.
+        flange_position: position of the flange in the world (3,), m; `update` changes it in place.
         flange_rotation: R_world_flange, (3, 3); updated in place by `update`.
 
     Raises:

@@ -24,12 +24,13 @@ class RobotModels:
             made; empty if no robot is mounted.
 
     Attributes:
-        rows: (m,), the first axis of all arguments and results.
+        rows: shape (m,) of the first axis of all arguments and results.
         n: number of joints of all robots of a row.
         robots: slice of joints of each robot.
         joint_names: `ROBOT/JOINT`.
-        motor_inertia: (n,), kg m2 or kg.
-        flange_position: (m, 3), m, in the world, of the last `write_task_space`.
+        motor_inertia: motor inertias at the joints (n,), kg m2 or kg.
+        flange_position: positions of the flanges in the world (m, 3), m, from the last
+            `write_task_space`.
         flange_rotation: R_world_flange, (m, 3, 3), of the last `write_task_space`.
     """
 

@@ -51,10 +51,10 @@ class CartesianMotion:
     """Samples of a motion of the flange.
 
     Attributes:
-        times: (T,), s.
+        times: times (T,), s.
         poses: T_world_flange, (T, 4, 4), m.
-        twists: (T, 6), in world axes: m/s, then rad/s.
-        accelerations: (T, 6), in world axes: m/s2, then rad/s2.
+        twists: twists (T, 6) in world axes: m/s, then rad/s.
+        accelerations: accelerations (T, 6) in world axes: m/s2, then rad/s2.
     """
 
     times: Array
@@ -98,7 +98,7 @@ class JointTargetMotion(TargetMotion):
         """Returns the motion of a run, and checks that it is within the limits of the robot.
 
         Args:
-            times: (T,), s, ascending.
+            times: ascending times (T,), s.
             start: initial angles, (n,), rad or m.
 
         Raises:
@@ -188,7 +188,7 @@ class CartesianTargetMotion(TargetMotion):
         """Returns the motion of a run.
 
         Args:
-            times: (T,), s, ascending.
+            times: ascending times (T,), s.
             start: initial T_world_flange, (4, 4), m.
 
         Raises:
@@ -203,7 +203,7 @@ class Constant(JointTargetMotion):
     """Holds constant joint angles.
 
     Attributes:
-        angles: rad or m per joint (default: the initial angles).
+        angles: final value of each joint, rad or m (default: the initial values).
         angles_deg: `angles` in degrees.
     """
 
@@ -245,7 +245,7 @@ class Step(JointTargetMotion):
     """Steps by an amplitude, for step responses.
 
     Attributes:
-        amplitude: rad or m per joint, relative to the initial angles.
+        amplitude: amplitude of each joint relative to the initial values, rad or m.
         amplitude_deg: `amplitude` in degrees.
         time: time of the step, s.
         duration: s until the step back (default: no step back).
@@ -270,10 +270,10 @@ class Sine(JointTargetMotion):
     """Moves every joint sinusoidally about its initial angle.
 
     Attributes:
-        amplitude: rad or m per joint.
+        amplitude: amplitude of each joint, rad or m.
         amplitude_deg: `amplitude` in degrees.
         frequency: Hz per joint.
-        phase: rad per joint.
+        phase: phase of each joint, rad.
         ramp: s in which the amplitude grows from zero, as a quintic; 0 for no ramp.
     """
 
@@ -299,7 +299,7 @@ class Chirp(JointTargetMotion):
     """Moves joints sinusoidally at a frequency that changes linearly, for identification.
 
     Attributes:
-        amplitude: rad or m per joint.
+        amplitude: amplitude of each joint, rad or m.
         amplitude_deg: `amplitude` in degrees.
         start_frequency: Hz.
         end_frequency: Hz.

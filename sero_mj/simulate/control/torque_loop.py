@@ -57,11 +57,11 @@ class LoopGains:
     Attributes:
         motor_inertias: B, kg m2 (kg).
         shaped_inertias: Bt, kg m2 (kg); the motor inertias that the controller assumes.
-        bandwidth: of the low pass of the torque, 1/s.
+        bandwidth: bandwidth of the low-pass filter of the torque, 1/s.
         damping_time: T, s; 0 for rigid joints.
         friction_bandwidth: L, 1/s; 0 for no friction compensation.
-        stiffness: of the elastic joints, Nm/rad (N/m); infinite for rigid joints.
-        damping: in parallel with the stiffness, Nm s/rad (N s/m).
+        stiffness: stiffness of elastic joints, Nm/rad (N/m); infinite for rigid joints.
+        damping: damping in parallel with the stiffness, Nm s/rad (N s/m).
     """
 
     motor_inertias: Array
@@ -169,7 +169,7 @@ class TorqueLoop:
 
         Args:
             torques: measured joint torques, (k, n), Nm or N.
-            velocities: of the motors, (k, n), rad/s or m/s.
+            velocities: velocities of the motors (k, n), rad/s or m/s.
         """
         self.motor_torques[which] = torques
         self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
@@ -289,10 +289,10 @@ def unstable_loop(
     controller are held for `steps` steps.
 
     Args:
-        mass: of the links, without the motors, (n, n).
-        timestep: of the loop and of the physics, s.
-        stiffness: of the controller, with respect to the motor angles, (n, n).
-        damping: of the controller, with respect to the motor velocities, (n, n).
+        mass: mass matrix of the links without the motors (n, n).
+        timestep: time step of the loop and of the physics, s.
+        stiffness: stiffness of the controller with respect to the motor angles (n, n).
+        damping: damping of the controller with respect to the motor velocities (n, n).
     """
     n = len(mass)
     loop: Array = np.zeros((4, n, 7, n))

@@ -87,7 +87,8 @@ class WayPoints(JointTargetMotion):
         way_points_deg: `way_points` in degrees.
         times: arrival time at each way point, s. If the first is 0, the motion starts there.
         speed: share of the velocity limits of the robot, 0 to 1.
-        accelerations: rad/s2 or m/s2 per joint (default: `acceleration_limits` of the robot).
+        accelerations: maximum acceleration of each joint, rad/s2 or m/s2 (default: the
+            `acceleration_limits` of the robot).
         time_law: `quintic` (continuous acceleration) or `trapezoidal` (faster).
         dwell: s of rest at each way point; only with `speed`.
     """

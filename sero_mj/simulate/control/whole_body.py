@@ -25,7 +25,7 @@ class Mounting:
     """The base of one robot and the robots that it carries, in the data of a `WholeBody`.
 
     Attributes:
-        data: of the whole body, with the composite inertias `crb`.
+        data: data of the whole body, with the composite inertias `crb`.
         base: body of the robot's base.
         root: body whose `subtree_com` is the reference point of the composite inertias.
         loads: for each carried robot, the carrying link (0 is the base) and its first body.

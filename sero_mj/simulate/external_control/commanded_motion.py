@@ -23,14 +23,14 @@ class CommandedMotion:
     """Computes the commanded angles step by step.
 
     Args:
-        position_limits: shape (n, 2), rad.
-        velocity_limits: shape (n,), rad/s.
+        position_limits: lower and upper limits (n, 2), rad.
+        velocity_limits: velocity limits (n,), rad/s.
 
     Attributes:
         mode: `HOLDS`, `SERVOS` (follows single angles), `SPEEDS` (follows speeds), `MOVES` (moves
             to a goal), or `TORQUES` (torques act, and the angles follow the robot).
         angles: commanded angles, shape (n,), rad.
-        velocities: their velocities, shape (n,), rad/s, smoothed for single angles.
+        velocities: velocities of the motion (n,), rad/s, smoothed for single angles.
         accelerations: planned accelerations, shape (n,), rad/s^2; zero while following single
             angles.
         torques: torques in addition to gravity, shape (n,), Nm.
@@ -65,7 +65,7 @@ class CommandedMotion:
         """Sets single angles, shape (n,), rad; returns the reason if refused, or an empty text.
 
         Args:
-            time: in seconds.
+            time: simulated time, s.
             cycle: minimum time between two commands, s.
         """
         if wrong := self._beyond(angles):
@@ -102,7 +102,7 @@ class CommandedMotion:
 
         Args:
             speed: speed of the joint with the longest way, rad/s.
-            acceleration: of the same joint, rad/s^2.
+            acceleration: acceleration of the same joint, rad/s^2.
             time: current time, s.
         """
         way = float(np.abs(angles - self.angles).max())

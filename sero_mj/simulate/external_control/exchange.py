@@ -89,7 +89,7 @@ class State:
     """The packet with a robot's state.
 
     Args:
-        text: its structure; empty for `default_state`.
+        text: structure of the state; empty for `default_state`.
 
     Attributes:
         packet: the bytes of the packet; always the same object.
@@ -154,7 +154,7 @@ class Answer:
     `feed_forward`, each as commanded or declared.
 
     Args:
-        text: its structure; empty for `default_answer`.
+        text: structure of the answer; empty for `default_answer`.
         stiffness: declared K, shape (n,), Nm/rad.
         damping: declared D, shape (n,), Nm s/rad.
 

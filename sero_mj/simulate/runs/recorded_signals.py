@@ -43,7 +43,7 @@ class Series:
     """Events over time.
 
     Attributes:
-        times: shape (T,), s, increasing.
+        times: increasing times (T,), s.
         events: event to values, shape (T, count).
     """
 
@@ -87,9 +87,9 @@ def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) ->
     """Returns valid packets of a source over time, see `read_events`.
 
     Args:
-        receiver: its `time` is the event with the time of sending.
+        receiver: source whose `time` is the event with the time of sending.
         events: event to values, shape (T, count), T >= 1.
-        arrivals: shape (T,), s.
+        arrivals: times of arrival (T,), s.
     """
     times = spread_bunches(arrivals)
     if receiver.time:
@@ -110,7 +110,7 @@ def spread_bunches(arrivals: Array) -> Array:
     after the previous burst. Packets without bursts keep their times.
 
     Args:
-        arrivals: shape (T,), s, not decreasing.
+        arrivals: times of arrival (T,), s, not decreasing.
     """
     size = min(_TYPICAL, len(arrivals) - 1)
     if size < _MIN_TYPICAL:

@@ -99,7 +99,7 @@ class RunLog:
         robots: robots by name.
         signals: event name to values: (T, n) per joint, (T, 3) vectors, (T, 4, 4) matrices. Signals
             that real robots do not have (`actual_...`) may be missing.
-        times: shape (T,), s.
+        times: times of the rows (T,), s.
         name: name in titles.
         derived: cache of computed values.
     """

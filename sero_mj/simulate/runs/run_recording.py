@@ -242,7 +242,7 @@ class Declared:
     """The robots and routes of a scene.
 
     Attributes:
-        robots: by name, including those of groups.
+        robots: mapping from names to robots, including the robots of groups.
         routes: input to origin.
         doubles: tables by name.
         groups: tables with the robots of each group, by name.

@@ -124,8 +124,8 @@ def split_at_gaps(times: Array, values: Array) -> list[Ints]:
     """Returns the indices of the samples of each continuous piece of a line.
 
     Args:
-        times: (k,), s, increasing.
-        values: (k,), NaN for no data; gaps shorter than `_GAP` are ignored.
+        times: increasing times (k,), s.
+        values: values (k,), NaN for no data; gaps shorter than `_GAP` are ignored.
     """
     there = np.isfinite(values).nonzero()[0]
     if not len(there):
