@@ -40,7 +40,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator of a range, in `unit`; `note` is appended to its error."""
+    """Returns a validator for a range in `unit`. Its error message ends with `note`."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -71,15 +71,15 @@ class Sensed:
         rows: shape of the first axes of all arrays: () for one robot, (m,) for m robots.
 
     Attributes:
-        time: since the start, s.
+        time: time since the start, s.
         values: angles, velocities and torques, (3, n); the next four are views of it.
         state: angles, then velocities, (2n,).
         angles: joint values (n,), rad or m.
         velocities: joint velocities (n,), rad/s or m/s.
-        torques: measured on the link side of the gears, (n,), Nm or N.
-        motor_state: angles, then velocities of the motors, (2n,), on the link side of the gears.
-            Springs and dampers must act on these: with those of the links, the control would not
-            be passive, because the elastic joint is between the links and the motors (Ott 2008).
+        torques: torques on the link side of the gears (n,), Nm or N.
+        motor_state: motor angles, then motor velocities (2n,), on the link side of the gears.
+            Springs and dampers must act on them. If they acted on the links, the control would not
+            be passive, because elastic joints are between the motors and the links (Ott 2008).
         motor_angles: a view of `motor_state`, (n,).
         motor_velocities: a view of `motor_state`, (n,).
 
@@ -138,7 +138,7 @@ class Target:
         position: position of the flange (3,), m.
         rotation: rotation matrix of the flange (3, 3).
         twist: twist of the flange in world axes (6,): m/s, then rad/s.
-        wrench: exerted by the robot at the flange, in world axes, (6,): N, then Nm.
+        wrench: force and torque that the robot exerts at the flange, in world axes (6,): N, Nm.
         posture: target angles of the null space, (n,), rad or m.
     """
 
@@ -255,7 +255,7 @@ class PlainController:
     def __init__(self, own: Any) -> None:
         self.own = own
 
-    def __getattr__(self, key: str) -> Any:  # only for what this class does not have
+    def __getattr__(self, key: str) -> Any:  # only for attributes that this class lacks
         own = self.__dict__["own"]
         return getattr(own, key) if hasattr(own, key) else getattr(_DEFAULTS, key)
 
@@ -264,7 +264,7 @@ _DEFAULTS = Controller()
 
 
 def as_controller(controller: Any) -> Any:
-    """Returns a controller or declaration unchanged, and a `PlainController` of other objects."""
+    """Returns controllers and declarations unchanged. Wraps other objects in `PlainController`."""
     if isinstance(controller, Controller | ControllerDeclaration):
         return controller
     return PlainController(controller)
