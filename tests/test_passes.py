@@ -191,7 +191,7 @@ def test_depths_out_of_range_are_0_in_millimeters(tmp_path) -> None:
 def test_passes_are_not_written_in_lossy_formats(lwr, tmp_path) -> None:
     scene = Scene(robots=[lwr])
     for path in ("parts.jpg", "parts.webp"):
-        with pytest.raises(RenderError, match=r"\.png, \.npy"):
+        with pytest.raises(RenderError, match=r"\.png or \.npy"):
             render_image(scene, tmp_path / path, render_pass="segmentation")
     with pytest.raises(RenderError, match="video compression changes the colors"):
         render_video(scene, tmp_path / "film.mp4", render_pass="depth")

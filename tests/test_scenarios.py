@@ -385,7 +385,7 @@ def test_user_controllers_must_write_into_out() -> None:
     ):
         ran(scenario(controllers={"lwr": Returns()}))
     (found,) = problems(controllers={"lwr": Returns})
-    assert "found the class Returns; expected an object: Returns()" in found
+    assert "found the class Returns; expected an instance: Returns()" in found
 
 
 def test_constant_torques_are_added_to_gravity() -> None:
