@@ -57,8 +57,8 @@ def test_status_plays_a_recording(
     ("more", "reported"),
     [
         ("start = 50", "start: found 50; the recording ends at 1.00 s"),
-        ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5, start, in s"),
-        ("stop = -1", "stop: found -1; expected more than 0, the time of its first packet, in s"),
+        ("start = 0.5\nstop = 0.5", "stop: found 0.5; expected more than 0.5 s, start"),
+        ("stop = -1", "stop: found -1; expected more than 0 s, the time of its first packet"),
     ],
 )
 def test_empty_time_ranges_are_reported(recording: Path, more: str, reported: str) -> None:

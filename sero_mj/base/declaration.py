@@ -170,7 +170,7 @@ def expecting(what: str) -> WrapValidator:
 def numbers(value: Any) -> Array:
     """Returns a float64 array of finite numbers.
 
-    Raises ValueError if a value is not a number, NaN, infinite, or too large.
+    Raises ValueError if a value is NaN, infinite, too large, or not a number.
     """
     try:
         array = np.asarray(value)

@@ -260,7 +260,7 @@ def unpack_chunk(record: bytes) -> tuple[Chunk, bytes]:
 
 
 def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Yields opcode, begin and end of the records in the contents of a chunk; raises BROKEN."""
+    """Yields the opcode, the start and the end of each record in a chunk; raises BROKEN."""
     position, size = 0, len(data)
     while position < size:
         opcode, length = RECORD_HEAD.unpack_from(data, position)

@@ -74,7 +74,7 @@ class RecordingClock:
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
 
     def log_time(self, arrival: float) -> int:
-        """Converts an arrival time, s on `time.monotonic`, to ns since the epoch."""
+        """Converts a time of `time.monotonic` in seconds to nanoseconds since the epoch."""
         if not math.isfinite(arrival):
             raise mismatch(arrival, "seconds on time.monotonic", key="arrival")
         log_time = round(arrival * 1e9) - self.monotonic_ns + self.epoch_ns

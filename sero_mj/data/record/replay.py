@@ -94,7 +94,7 @@ class Replay(FileSource):
         else:
             begin, word = _first_of(look_into(info.data["file"])), "the time of its first packet"
         if not begin < stop < np.inf:
-            raise mismatch(stop, f"more than {begin:g}, {word}, in s")
+            raise mismatch(stop, f"more than {begin:g} s, {word}")
         return stop
 
     def set_joints(self, joints: Sequence[RoutedJoint]) -> None:

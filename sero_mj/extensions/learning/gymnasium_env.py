@@ -75,9 +75,9 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode, or with a `seed` the first episode of this seed.
+        """Begins the next episode. If a `seed` is passed, begins the first episode of this seed.
 
-        If the options of the environment have no seed either, the first seed is random.
+        If no seed was ever set, the first seed is random.
         """
         super().reset(seed=seed)
         if seed is not None:

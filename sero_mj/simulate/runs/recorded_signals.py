@@ -51,7 +51,10 @@ class Series:
     events: dict[str, Array]
 
     def held_at(self, event: str, times: Array) -> Array:
-        """Returns an event's latest values at other times, (T', count); NaN before the first."""
+        """Returns the latest values of an event at given times; NaN before its first value.
+
+        The shape of the result is (number of times, count).
+        """
         at = np.searchsorted(self.times, times, side="right") - 1
         values = self.events[event][np.maximum(at, 0)].copy()
         values[at < 0] = np.nan

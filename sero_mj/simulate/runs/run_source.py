@@ -28,7 +28,7 @@ class Run(Protocol):
     Attributes:
         about: title for users.
         structure: structure of a row as a packet, whose first value is the time in seconds.
-        rows: log (T, width), float64, in the order of time.
+        rows: log (T, width), float64, in chronological order.
         times: times of the rows, shape (T,), s; also correct for rows that are not computed yet.
         step: index of the last computed row.
         drag_force: applies drag forces to links; None if that is not possible.
@@ -64,7 +64,7 @@ class FinishedRun:
     Attributes:
         about: title for users.
         structure: structure of a row as a packet, whose first value is the time in seconds.
-        rows: log (T, width), float64, in the order of time.
+        rows: log (T, width), float64, in chronological order.
     """
 
     about: str

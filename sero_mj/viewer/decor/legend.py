@@ -1,4 +1,4 @@
-"""The legend: quantity of the arrows, positive direction, and value at full width."""
+"""The legend, which shows what the arrows represent, and their value at full width."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`overlay`: arrows, billboards, doubles and axes on any compiled MuJoCo model."""
+"""`overlay`: draws arrows, billboards, transparent doubles and axes on any MuJoCo model."""
 
 from __future__ import annotations
 

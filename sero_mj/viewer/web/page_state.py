@@ -62,7 +62,7 @@ class PageState(FrameTaker):
         ]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
-        """Puts the last frame that the decor has drawn."""
+        """Puts the values of the last drawn frame into the sections of the page."""
         frame, put = self.frame, self._sections.put
         if frame is None:  # the decor has not been drawn yet
             return
