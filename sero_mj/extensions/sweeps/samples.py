@@ -67,7 +67,7 @@ class Vary:
             message = f"found {low:g} to {high:g}; expected two numbers in ascending order"
             raise UsageError(f"--vary {option}: {message}")
         if scale == "log" and low <= 0:
-            raise UsageError(f"--vary {option}: found log from {low:g}; expected log:LOW:HIGH above 0")
+            raise UsageError(f"--vary {option}: found log from {low:g}; expected LOW above 0")
         if scale == "int" and (low % 1 or high % 1):
             raise UsageError(f"--vary {option}: found {text}; expected whole numbers")
         return cls(key, text, low, high, scale)
