@@ -9,6 +9,7 @@ docs/plugins.md lists the groups. A package adds a kind in its pyproject.toml:
 from __future__ import annotations
 
 import logging
+import warnings
 from collections.abc import Mapping
 from contextlib import suppress
 from functools import cache
@@ -68,6 +69,18 @@ def is_own(point: EntryPoint) -> bool:
 def is_own_class(kind: type) -> bool:
     """Whether a class is part of sero-mj."""
     return kind.__module__.partition(".")[0] == _OWN
+
+
+def accept_old_names(kind: type, renamed: Mapping[str, str]) -> None:
+    """Sets the current attributes of a third-party class that defines them by earlier names.
+
+    `renamed` maps earlier names to current names. Each earlier name causes a DeprecationWarning.
+    """
+    for old, new in renamed.items():
+        if old in vars(kind) and not is_own_class(kind):
+            text = f"`{kind.__name__}.{old}` is now named `{new}`"
+            warnings.warn(text, DeprecationWarning, stacklevel=3)
+            setattr(kind, new, vars(kind)[old])
 
 
 def load_plugin(group: str, name: str, base: type | None = None) -> Any:

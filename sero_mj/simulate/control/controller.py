@@ -8,7 +8,6 @@ A package adds a kind of controller by an entry point in the group `sero_mj.cont
 
 from __future__ import annotations
 
-import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from pydantic import AfterValidator, BeforeValidator, PrivateAttr
 from ...base.declaration import Declaration, numbers
 from ...base.errors import Problem
 from ...base.frames import Array, Bools
+from ...base.plugins import accept_old_names
 from ...base.trust import FileOrigin, RequestedAction
 from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
@@ -343,10 +343,7 @@ class ControllerDeclaration(Declaration, ABC):
 
     @classmethod
     def __pydantic_init_subclass__(cls, **kwargs: Any) -> None:
-        if "may_be_asked" in cls.__dict__:
-            message = "may_be_asked is now may_be_probed; the old name works in version 0.2"
-            warnings.warn(message, DeprecationWarning, stacklevel=2)
-            cls.may_be_probed = cls.__dict__["may_be_asked"]
+        accept_old_names(cls, {"may_be_asked": "may_be_probed"})
 
     @property
     def is_in_real_time(self) -> bool:

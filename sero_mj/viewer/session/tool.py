@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import logging
 import time
-import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -21,7 +20,7 @@ import mujoco
 
 from ...base.errors import SeroError
 from ...base.frames import Array
-from ...base.plugins import TOOLS, is_own_class, load_all
+from ...base.plugins import TOOLS, accept_old_names, is_own_class, load_all
 from ...data.drive.mirror import LiveWorld
 from ...robots.assemble.world_view import WorldView
 from ..decor.feature import Frame
@@ -198,11 +197,7 @@ class Tool(PointerEvents, ToolState):
 
     def __init_subclass__(cls) -> None:
         super().__init_subclass__()
-        for old, new in _RENAMED.items():
-            if old in vars(cls) and not is_own_class(cls):
-                text = f"`{cls.__name__}.{old}` is now named `{new}`"
-                warnings.warn(text, DeprecationWarning, stacklevel=2)
-                setattr(cls, new, vars(cls)[old])
+        accept_old_names(cls, _RENAMED)
 
     def actions(self) -> Mapping[str, Action]:
         """Returns the actions of keys and menus, by the names in `keys`."""
