@@ -152,9 +152,7 @@ class TorqueLoop:
         coefficients = loop_coefficients(gains, timestep)
         self._own, self._next = terms[:, :4], np.zeros((m, 4, n))
         if n <= _MAX_DENSE:
-            dense: Array = np.zeros((7, n, 4, n))
-            dense[:, np.arange(n), :, np.arange(n)] = coefficients.transpose(2, 1, 0)
-            matrix = dense.reshape(7 * n, -1)
+            matrix = _dense(coefficients).T.copy()
             self._product = terms.reshape(m, -1), matrix, self._next.reshape(m, -1)
         else:
             inputs, outputs = (each.swapaxes(1, 2)[:, :, None] for each in (terms, self._next))
@@ -274,6 +272,15 @@ def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
     return np.array([motors, friction, observed, filtered])
 
 
+def _dense(coefficients: Array) -> Array:
+    """Returns the coefficients (4, 7, n) of all joints as one matrix (4 n, 7 n)."""
+    n = coefficients.shape[2]
+    dense: Array = np.zeros((4, n, 7, n))
+    joints = np.arange(n)
+    dense[:, joints, :, joints] = coefficients.transpose(2, 0, 1)
+    return dense.reshape(4 * n, 7 * n)
+
+
 def unstable_loop(
     gains: LoopGains,
     mass: Array,
@@ -295,9 +302,7 @@ def unstable_loop(
         damping: damping of the controller with respect to the motor velocities (n, n).
     """
     n = len(mass)
-    loop: Array = np.zeros((4, n, 7, n))
-    joints = np.arange(n)
-    loop[:, joints, :, joints] = loop_coefficients(gains, timestep).transpose(2, 0, 1)
+    loop = _dense(loop_coefficients(gains, timestep))
     elastic = bool(np.isfinite(gains.stiffness).all())
     motors = np.diag(gains.motor_inertias)
     # State: [m, r, w, f; u; dtheta, tau; theta; deflection, its velocity]
@@ -305,7 +310,7 @@ def unstable_loop(
     at = [slice(k * n, (k + 1) * n) for k in range(10)]
     m, u, velocity, torque, angle, bend, bending = at[0], *at[4:]
     act = np.eye(size)
-    act[: 4 * n, : 7 * n], act[: 4 * n, 7 * n :] = loop.reshape(4 * n, 7 * n), 0.0
+    act[: 4 * n, : 7 * n], act[: 4 * n, 7 * n :] = loop, 0.0
     move = np.eye(size)
     if elastic:
         both = np.block([[mass + motors, mass], [mass, mass]])
