@@ -6,6 +6,7 @@ import json
 import logging
 import sys
 from collections.abc import Set
+from functools import partial
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
@@ -27,6 +28,8 @@ if TYPE_CHECKING:
 
 _NAMED_JOINTS = 24  # further joints are only counted
 _NO_BREAK = "\0"  # a non-breaking space
+# File names and names of joints stay whole.
+_fill = partial(fill, width=100, break_on_hyphens=False, break_long_words=False)
 _HELP = """\
 examples:
   sero-mj check lwr_udp                  errors of a scene, or its contents
@@ -148,10 +151,7 @@ def _check_scene(options: CheckOptions) -> int:
             for event, shape in source.events.items()
         )
         text = f"{name}: {source.about}, {source.size} bytes: {events}"
-        lines = fill(
-            text, 100, initial_indent="  source  ", subsequent_indent=" " * 12,
-            break_on_hyphens=False, break_long_words=False,
-        )  # fmt: skip
+        lines = _fill(text, initial_indent="  source  ", subsequent_indent=" " * 12)
         print(lines.replace(_NO_BREAK, " "))
         print(_unused(name, source, taken), end="")
         if isinstance(source, FileSource) and (warning := degrees.check_recording(source)):
@@ -162,12 +162,12 @@ def _check_scene(options: CheckOptions) -> int:
         free = sum(robot.coupled.k for robot in robots)
         each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
         count = f"{joints} joints" + (f", in packets {joints} or {free}" if free < joints else "")
-        print(fill(f"  group   {name}: {count}: {each}", 100, subsequent_indent=" " * 10))
+        print(_fill(f"  group   {name}: {count}: {each}", subsequent_indent=" " * 10))
     _print_decor(scene)
     for target, text in scene.routes.items():
         for event, names in parts_of_origin(text):
             listed = "" if names is None else f": {', '.join(names)}"
-            print(fill(f"  route   {event} -> {target}{listed}", 100, subsequent_indent=" " * 10))
+            print(_fill(f"  route   {event} -> {target}{listed}", subsequent_indent=" " * 10))
     for item in scene.objects:
         mass = "" if item.mass is None else f": {item.mass:g} kg, free in simulation"
         print(f"  object  {item.name}{mass}")
@@ -211,7 +211,7 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     )
 
     lines = [f"  robot   {name}: {_kind(robot)}, reach {robot.reach:.4g} m"]
-    lines.append(fill(f"          joints: {_in_order(robot)}", 100, subsequent_indent=" " * 18))
+    lines.append(_fill(f"          joints: {_in_order(robot)}", subsequent_indent=" " * 18))
     lines.append(f"          flange: {_about_flange(robot)}")
     if robot.free_base:
         how = "planar" if robot.free_base == "planar" else "free"
@@ -219,14 +219,14 @@ def _about_robot(name: str, robot: SerialRobot) -> list[str]:
     limbs = robot.limb_joints
     if len(limbs) > 1:
         each = ", ".join(f"{limb} {len(joints)}" for limb, joints in limbs.items())
-        lines.append(fill(f"          limbs: {each}", 100, subsequent_indent=" " * 17))
+        lines.append(_fill(f"          limbs: {each}", subsequent_indent=" " * 17))
     dynamics = robot_dynamics(robot)
     lines.append(f"          mass: {about_masses(robot, dynamics)}")
     estimated = [key for key in dynamics.estimated if key != "masses"]
     about = f"estimated {', '.join(estimated)}" if estimated else "as declared"
     repaired = [f"          repaired  {line}" for line in robot.dynamics.repaired]
     notes = [
-        fill(f"          note: {line}", 100, subsequent_indent=" " * 16)
+        _fill(f"          note: {line}", subsequent_indent=" " * 16)
         for line in (*about_units(robot, dynamics), *about_large_inertias(robot, dynamics))
     ]
     return [*lines, *notes, f"          dynamics: {about}", *repaired]
@@ -267,7 +267,7 @@ def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
     if not unused:
         return ""
     text = f"not used: {', '.join(unused)}"
-    return fill(text, 100, initial_indent=" " * 12, subsequent_indent=" " * 12) + "\n"
+    return _fill(text, initial_indent=" " * 12, subsequent_indent=" " * 12) + "\n"
 
 
 def _print_kinematics(options: CheckOptions, name: str) -> int:
