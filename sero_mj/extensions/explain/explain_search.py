@@ -16,6 +16,7 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, Explanation, Kind, Part
+from .goodness import limited, unexplained_share
 from .torque_residuals import DELAYS, TorqueResiduals
 
 _erf = np.vectorize(erf)
@@ -27,6 +28,8 @@ _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
+_REFITS = 4
+_TIE = 1e-3  # preference between equivalent explanations
 _ROUNDS = 40
 _MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
 # Minimum number of differing joints for also fitting a payload without one of them, and maximum
@@ -121,6 +124,10 @@ class _Edges:
             begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
         )
 
+    def weighted(self, values: Array) -> Array:
+        # Sums of values (K, ...) after each edge, (E, ...).
+        return np.tensordot(self._on, values, axes=1)
+
     def best(self, scores: Any) -> tuple[int, int, float]:
         # Returns the best edges and their score; `scores` takes arrays of edges. A temporary effect
         # is not visible with its begin alone, so a grid of pairs is tried first.
@@ -214,13 +221,38 @@ class Search:
         self.count = np.maximum(self.known.sum(axis=(0, 1)), 1)  # (n,)
         self.facts = np.maximum(self.count / _ROWS_PER_FACT, 2.0)
         self.edges = _Edges(len(found.times), found.step / found.width)
+        self.undeclared = self._undeclared()
         self.fits: list[_Fit] = []
+        if self.undeclared:
+            self._refit()
         for _ in range(_ROUNDS):
             best = self._best()
             if best is None:
                 break
             self.fits.append(best)
             self._refit()
+
+    def _undeclared(self) -> list[_Fit]:
+        # Friction and inertia of motors that are not declared are fitted along with the faults.
+        motion, keys = self.found.motion, self.found.undeclared
+        if self.found.torque_control:
+            keys = tuple(key for key in keys if key == "motor_inertias")
+        columns = {
+            "motor_inertias": motion.accelerations,
+            "viscous_friction": motion.velocities,
+            "coulomb_friction": motion.signs,
+        }
+        fits = []
+        for joint in range(self.n if keys else 0):
+            X = np.zeros((*self.y.shape, len(keys)))
+            effects = np.stack([columns[key][:, joint] for key in keys], axis=-1)
+            scaled = effects / self.sigma[1, :, joint, None]
+            known = self.known[1, :, joint, None] & np.isfinite(scaled)
+            X[1, :, joint] = np.where(known, scaled, 0.0)
+            zero, wide = np.zeros(len(keys)), np.full(len(keys), _SHARE * self.found.scale[joint])
+            fits.append(_Fit(joint, "friction", "joint", X, wide, (0, self.edges.end), 0.0, zero,
+                             zero))  # fmt: skip
+        return fits
 
     def _candidates(self) -> list[_Candidate]:
         found, zero = self.found, np.zeros_like(self.found.link)
@@ -352,12 +384,16 @@ class Search:
         y, priors = self.left[:, :, joint], candidate.priors[joint]
         sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
         total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
+        absorbed = self._absorbed(joint, X)
 
         def scores(first: Any, last: Any) -> Array:
             H, g, rows = sums.between(first, last)
+            H = H - absorbed(first, last)
             phi = np.linalg.solve(H + inverse, g[..., None])[..., 0]
             gains = 2.0 * np.einsum("kp,kp->k", g, phi) - np.einsum("kp,kpq,kq->k", phi, H, phi)
             ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            if self.undeclared:  # changes are relative to the start of the recording
+                ends += _TIE * (np.asarray(first) == 0)
             price = (len(priors) + ends) * np.log(facts)
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
             return np.where(rows >= MIN_ROWS, better, -np.inf)
@@ -379,6 +415,20 @@ class Search:
         whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
         return _Fit(joint, candidate.kind, candidate.part, whole, priors, (first, last), gain,
                     parameters, errors, candidate.delay)  # fmt: skip
+
+    def _absorbed(self, joint: int, X: Array) -> Callable[[Any, Any], Any]:
+        # The part of X' X between two edges that undeclared friction would explain as well.
+        if not self.undeclared:
+            return lambda first, last: 0.0
+        N, priors = self.undeclared[joint].columns[:, :, joint], self.undeclared[joint].priors
+        inverse = np.linalg.inv(np.einsum("ckp,ckq->pq", N, N) + np.diag(1.0 / priors**2))
+        cross = self.edges.weighted(np.einsum("ckp,ckq->kpq", X, N))
+
+        def between(first: Any, last: Any) -> Array:
+            C = cross[first] - cross[last]
+            return np.asarray(C @ inverse @ np.swapaxes(C, -1, -2))
+
+        return between
 
     def _unknown(self, joint: int, side: int) -> _Fit | None:
         # An arbitrary torque far above noise on one side of a joint. It has as many parameters as
@@ -486,30 +536,63 @@ class Search:
         return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
-        for _ in range(4 if len(self.fits) > 1 else 1):
-            for fit in self.fits:
-                if fit.kind == "unexplained":
-                    continue
-                others = sum(
-                    (other.columns @ other.parameters for other in self.fits if other is not fit),
-                    np.zeros_like(self.y),
-                )
-                used = np.ones(self.n, bool) if fit.used is None else fit.used
-                X = fit.columns[:, :, used].reshape(-1, fit.columns.shape[-1])
-                H = X.T @ X + np.diag(1.0 / fit.priors**2)
-                g = X.T @ (self.y - others)[:, :, used].ravel()
-                fit.parameters = np.asarray(np.linalg.solve(H, g), np.float64)
-        self.left = self.y.copy()
-        for fit in self.fits:
-            self.left -= fit.columns @ fit.parameters
-        for fit in self.fits:  # standard errors depend on the final residuals
-            used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
+        # Fits of one joint depend on each other, so they are solved together.
+        fits = [fit for fit in [*self.undeclared, *self.fits] if fit.kind != "unexplained"]
+        groups = [[fit for fit in fits if fit.joint == joint] for joint in range(self.n)]
+        groups += [[fit] for fit in fits if fit.joint < 0]
+        groups = [group for group in groups if group]
+        self._update_left()
+        for _ in range(_REFITS if len(groups) > 1 else 1):
+            for group in groups:
+                X, priors = self._together(group)
+                mine = X @ np.concatenate([fit.parameters for fit in group])
+                y = (self.left + mine)[:, :, self._used_by(group)].ravel()
+                X = X[:, :, self._used_by(group)].reshape(len(y), -1)
+                H = X.T @ X + np.diag(1.0 / priors**2)
+                solution = np.linalg.solve(H, X.T @ y)
+                for fit in group:
+                    fit.parameters, solution = np.split(solution, [len(fit.priors)])
+                self._update_left()
+        for group in groups:  # standard errors depend on the final residuals
+            used = self._used_by(group)
             variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
-            X = fit.columns.reshape(-1, fit.columns.shape[-1])
-            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / fit.priors**2))
-            if fit.kind != "unexplained":
-                scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
-                fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
+            X, priors = self._together(group)
+            X = X.reshape(-1, X.shape[-1])
+            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / priors**2))
+            scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
+            errors = np.sqrt(np.diag(covariance) * scale)
+            for fit in group:
+                fit.errors, errors = np.split(errors, [len(fit.priors)])
+
+    def _together(self, group: Sequence[_Fit]) -> tuple[Array, Array]:
+        columns = np.concatenate([fit.columns for fit in group], axis=-1)
+        return columns, np.concatenate([fit.priors for fit in group])
+
+    def _used_by(self, group: Sequence[_Fit]) -> Bools:
+        if group[0].joint >= 0:
+            return np.arange(self.n) == group[0].joint
+        return np.ones(self.n, bool) if group[0].used is None else group[0].used
+
+    def _update_left(self) -> None:
+        self.left = self.y.copy()
+        for fit in [*self.undeclared, *self.fits]:
+            self.left -= fit.columns @ fit.parameters
+
+    def _unexplained_share(self, fit: _Fit) -> float:
+        others = [each for each in [*self.undeclared, *self.fits] if each is not fit
+                  and each.kind != "unexplained"]  # fmt: skip
+        y = self.y - sum((each.columns @ each.parameters for each in others), np.zeros_like(self.y))
+        used = np.arange(self.n) == fit.joint
+        if fit.joint < 0:
+            used = self._effects(fit) > MIN_EFFECT * self.found.scale
+            used &= True if fit.used is None else fit.used
+        rows = self.edges.share(*fit.edges) > 0.5
+        sides = (fit.columns[:, :, used] != 0.0).any(axis=(1, 2, 3))
+        y, X = y[np.ix_(sides, rows, used)], fit.columns[np.ix_(sides, rows, used)]
+        y, X = np.moveaxis(y, 1, -1), np.moveaxis(X, 1, -2)  # rows last
+        return unexplained_share(
+            y.reshape(-1, y.shape[-1]), X.reshape(-1, *X.shape[-2:]), fit.priors
+        )
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
         """Returns all explanations and `more`, joint by joint, in descending order of size."""
@@ -577,6 +660,7 @@ class Search:
         is_revolute = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
         unit = "Nm" if is_revolute else "N"
         values: dict[str, float] = {}
+        confidence = fit.confidence
         affected = self._effects(fit) > MIN_EFFECT * found.scale
         joints = np.array(names)[affected].tolist() if fit.joint < 0 else [names[fit.joint]]
         if kind == "gain":
@@ -601,9 +685,11 @@ class Search:
             size = float(effect[np.argmax(np.abs(effect))])
         first, last = fit.edges
         place = names[fit.joint] if fit.common is None else fit.common.place
+        if kind != "unexplained":
+            confidence = limited(fit.confidence, self._unexplained_share(fit))
         return Explanation(
             place, kind, fit.part, size, unit, error,
-            fit.confidence, float(found.times[0] + 0.5 * first * found.step),
+            confidence, float(found.times[0] + 0.5 * first * found.step),
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
             first == 0, values, tuple(joints),
         )  # fmt: skip

@@ -57,6 +57,9 @@ _ANGLE_STEP = 1e-4  # rad or m, step of the numerical derivative of torques by a
 
 # Delays of sensors and drives in s; effects of other delays are interpolated.
 DELAYS = 0.002 * np.arange(1, 51)
+_OF_MOTORS = ("motor_inertias", "viscous_friction", "coulomb_friction")  # keys of `[dynamics]`
+_FIT_MARGIN = 1.2  # ratio of residuals above which undeclared friction is significant
+_FIT_ROUNDS, _HUBER = 20, 2.0  # of a robust fit; standard deviations with full weight
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
@@ -142,6 +145,8 @@ class TorqueResiduals:
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
         no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
+        undeclared: keys of `[dynamics]` that are not declared. The friction and motor inertia of
+            `motor` are then fitted to this run, so that only their changes are visible.
     """
 
     robot: SerialRobot
@@ -157,6 +162,7 @@ class TorqueResiduals:
     coulomb: Array
     torque_control: bool
     no_model: str
+    undeclared: tuple[str, ...] = ()
 
     @property
     def has_model(self) -> bool:
@@ -247,9 +253,16 @@ def torque_residuals(
     looped = low_pass(np.where(saturated, np.nan, lag)) - apparent * acceleration
     for each in (plain, looped):
         each[reverses] = np.nan
+    undeclared = tuple(key for key in _OF_MOTORS if key in dynamics.estimated)
+    fitted = {key: each for key, each in zip(_OF_MOTORS, (acceleration, smooth, signs), strict=True)
+              if key in undeclared}  # fmt: skip
+    plain = _without_fit(plain, list(fitted.values()))
+    looped = _without_fit(looped, [fitted[key] for key in undeclared if key == _OF_MOTORS[0]])
     scale = _scale(robot, measured)
     if torque_control is None:
-        torque_control = _is_smaller(looped / scale, plain / scale)
+        # The fit of more parameters is always closer.
+        margin = _FIT_MARGIN if undeclared else 1.0
+        torque_control = _is_smaller(looped / scale, margin * plain / scale)
     rough, windows = _roughness(measured, commanded, step)
     torques = Torques(
         measured=low_pass(measured),
@@ -278,6 +291,7 @@ def torque_residuals(
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
+        undeclared=undeclared,
     )
 
 
@@ -325,6 +339,28 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
         return signals, step
     sampled = {key: at_times(times, values, even) for key, values in signals.items()}
     return {**sampled, "t": even[:, None]}, step
+
+
+def _without_fit(residuals: Array, columns: Sequence[Array]) -> Array:
+    # Residuals (K, n) without the best multiples of columns (K, n), joint by joint. The fit is
+    # robust (Huber 1964), because a fault may act during a part of the run.
+    result = residuals.copy()
+    for joint in range(residuals.shape[1] if columns else 0):
+        X = np.stack([each[:, joint] for each in columns], axis=-1)
+        rows = np.isfinite(residuals[:, joint]) & np.isfinite(X).all(axis=1)
+        if rows.sum() <= _MIN_ROWS:
+            continue
+        X, y = X[rows], residuals[rows, joint]
+        lengths = np.maximum(np.linalg.norm(X, axis=0), 1e-12)
+        weights = np.ones(len(y))
+        for _ in range(_FIT_ROUNDS):
+            root = np.sqrt(weights)[:, None]
+            phi = np.linalg.lstsq(root * X / lengths, root[:, 0] * y, rcond=1e-6)[0]
+            left = np.abs(y - X / lengths @ phi)
+            spread = max(float(np.median(left)) / 0.6745, 1e-12)
+            weights = np.minimum(1.0, _HUBER * spread / np.maximum(left, 1e-12))
+        result[rows, joint] = y - X / lengths @ phi
+    return result
 
 
 class _LowPass:
