@@ -22,11 +22,9 @@ from sero_mj.base.frames import Array
 from sero_mj.cli import main
 from sero_mj.extensions.explain.explain import explain, explain_run, explain_runs
 from sero_mj.extensions.explain.explain_search import _Edges, _erf
+from sero_mj.extensions.explain.link_torques import body_torques, link_torques, torques_by_angle
 from sero_mj.extensions.explain.torque_residuals import (
     _jumps,
-    _link_torques,
-    _payload_torques,
-    _torques_by_angle,
     pair_with_model,
     torque_residuals,
 )
@@ -353,7 +351,7 @@ def test_torques_of_a_body_equal_the_mujoco_difference_with_and_without_it(robot
     loaded = RobotModel(world.model, joints, body=part.flange_body)
     about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))
     parameters = [mass, *(mass * center), *np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
-    by_regressor = _link_torques(arm, q, v, a) + _payload_torques(arm, q, v, a) @ parameters
+    by_regressor = link_torques(arm, q, v, a) + body_torques(arm, q, v, a) @ parameters
     for k in range(20):
         loaded.update(q[k], v[k])
         M = loaded.mass() - np.diag(loaded.motor_inertia)
@@ -376,7 +374,7 @@ def test_torque_derivatives_equal_those_of_the_mujoco_energy(robot: str) -> None
         mujoco.mj_energyPos(world.model, data)
         return float(data.energy[0])
 
-    found, steps = _torques_by_angle(arm, q, still, still), 1e-3 * np.eye(arm.n)
+    found, steps = torques_by_angle(arm, q, still, still), 1e-3 * np.eye(arm.n)
     for k, i, j in np.ndindex(3, arm.n, arm.n):
         more, less = (
             energy(q[k] + steps[i] + side) - energy(q[k] - steps[i] + side)
