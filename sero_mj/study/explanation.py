@@ -30,11 +30,46 @@ Kind = Literal[
     "masses",
     "encoder",
     "stuck",
+    "tilt",
+    "link mass",
+    "link center",
+    "elasticity",
+    "backlash",
+    "spring",
+    "force",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+    "saturation",
+    "clock",
+    "gravity compensation",
     "unexplained",
 ]
-Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", "sensor or drive"]
-_SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
-FLANGE, LINKS = "flange", "links"
+Part = Literal[
+    "torque sensor",
+    "drive",
+    "joint",
+    "flange",
+    "link",
+    "links",
+    "base",
+    "commands",
+    "encoder",
+    "sensor or drive",
+]
+_SIGNED: tuple[Kind, ...] = (
+    "bias",
+    "friction",
+    "payload",
+    "masses",
+    "encoder",
+    "link mass",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+)
+# Places of faults that do not concern a single joint.
+FLANGE, LINKS, BASE, COMMANDS = PLACES = "flange", "links", "base", "commands"
 MAX_CONFIDENCE = 0.99
 # Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
 # the sign of the size.
@@ -46,19 +81,24 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
+        joint: name of the joint, or one of `PLACES`.
         part: faulty part of the robot, for example `torque sensor`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), or unexplained peak (Nm).
+            (deg or m), stuck torque (Nm), tilt of the base (deg), mass (kg) or shift of the center
+            (m) of one link, joint stiffness (Nm/rad), backlash (deg or m), largest torque of a
+            spring (Nm), force (N), motor inertia (kg m2), change of Coulomb friction during the run
+            (Nm), friction as a share of the link torque (%), torque limit (Nm), drift of a clock
+            (s/s), missing gravity compensation (%), or unexplained peak (Nm).
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
         begin: start time of the fault, s.
         end: end time of the fault, s; None for the end of the run.
         from_start: whether the fault exists from the start.
-        values: further values: `viscous` friction, and the coordinates `x`, `y`, `z` of a payload's
-            center of mass, m.
+        values: further values: `viscous` friction; `x`, `y`, `z` of a payload's center of mass (m),
+            of the shift of a link's center (m), of a force (N), or of the direction of gravity;
+            `offset` of a clock (s).
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
@@ -87,9 +127,11 @@ class Explanation:
         """The kind, size and location of the fault, as text."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
-        center = ", ".join(
+        vector = ", ".join(
             f"{round(self.values[axis], 3) + 0.0:.3f}" for axis in "xyz" if axis in self.values
         )
+        about = f"{size:.3g}{_about(error)} {unit}"
+        change = f"{size:+.3g}{_about(error)} {unit}"
         stuck = f"no motion at up to {abs(size):.3g} {unit}"
         if part == "torque sensor":
             stuck = f"constant {size:.4g} {unit} of the {part}"
@@ -104,10 +146,26 @@ class Explanation:
             "friction": f"{size:+.3g}{_about(error)} {unit}, "
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
-            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m in the flange frame",
+            "payload": f"{size:+.3g}{_about(error)} kg at ({vector}) m in the flange frame",
             "encoder": f"offset {size:+.3g}{_about(error)} {unit}",
             "masses": f"{size:+.1f}{_about(error)} % relative to the declared masses",
             "stuck": stuck,
+            "tilt": f"base tilted by {about}, gravity along ({vector})",
+            "link mass": f"{change} of the link moved by {self.joint}",
+            "link center": f"center of mass of the link moved by {self.joint} shifted by "
+            f"({vector}) m",
+            "elasticity": f"stiffness of {about} between encoder and link",
+            "backlash": f"{about} between encoder and link",
+            "spring": f"torque of up to {abs(size):.3g} {unit} that depends on the angle",
+            "force": f"constant {about} at the flange, ({vector}) N in the world frame",
+            "motor inertia": change,
+            "friction drift": f"{change} from start to end, "
+            f"{self.values.get('viscous', 0.0):+.2g} {rate}",
+            "load friction": f"{change} of the link torque",
+            "saturation": f"drive limited to {about}",
+            "clock": f"commands late by {1e3 * self.values.get('offset', 0.0):.1f} ms, plus "
+            f"{1e3 * size:.2g}{_about(1e3 * error)} ms per second",
+            "gravity compensation": f"drives lack {about} of the gravity torques",
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
         return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"

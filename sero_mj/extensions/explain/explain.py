@@ -34,10 +34,9 @@ from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
 from ...study.align import Pair
 from ...study.explanation import (
-    FLANGE,
-    LINKS,
     MAX_CONFIDENCE,
     OF_ONE_RUN,
+    PLACES,
     Explainer,
     Explanation,
 )
@@ -224,7 +223,7 @@ def _with_runaway_drives(
         if each.joint in runaway and each.part == "drive" and each.kind != "unexplained"
     ]
     has = {each.joint for each in clear}
-    order = [*names, FLANGE, LINKS]
+    order = [*names, *PLACES]
     return sorted([*clear, *(each for each in explanations if each.joint not in has)],
                   key=lambda each: order.index(each.joint))  # fmt: skip
 

@@ -6,9 +6,9 @@ IJRR 5(3), 1986 (torques of rigid bodies as linear functions of ten parameters).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ...base.frames import Array
 from ...robots.assemble.robot_dynamics import GRAVITY
@@ -21,7 +21,7 @@ PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz"
 
 
 def link_torques(
-    robot: SerialRobot, q: Array, v: Array, a: Array, gravity: Sequence[float] | None = None
+    robot: SerialRobot, q: Array, v: Array, a: Array, gravity: ArrayLike | None = None
 ) -> Array:
     """Returns M(q) a + C(q, v) v + g(q) without motor inertias, shape (K, n), Nm or N.
 
