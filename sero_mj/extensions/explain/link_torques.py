@@ -6,7 +6,6 @@ IJRR 5(3), 1986 (torques of rigid bodies as linear functions of ten parameters).
 
 from __future__ import annotations
 
-
 import numpy as np
 from numpy.typing import ArrayLike
 
