@@ -270,7 +270,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
 def _of_link(found: TorqueResiduals, joint: int, mass: float, center: Array) -> list[CommonEffect]:
     name = found.robot.names[joint]
     q, v, a = found.motion.links
-    body = body_torques(found.robot, q, v, a, joint)
+    body = body_torques(found.robot, q, v, a, joint + 1)
     dynamics = robot_dynamics(found.robot)
     tensor = dynamics.tensors[joint + 1]
     about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))

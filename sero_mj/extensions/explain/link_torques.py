@@ -70,7 +70,7 @@ def body_torques(
         q: joint values, shape (K, n), rad or m.
         v: joint velocities, shape (K, n).
         a: joint accelerations, shape (K, n).
-        link: index of the DH frame with the body; None for the flange frame.
+        link: index of the DH frame with the body, 0 for the base; None for the flange frame.
     """
     table, base = robot.kinematics, robot.base_frame
     at, offset = (robot.flange_link, robot.T_n_flange) if link is None else (link, np.eye(4))
