@@ -13,9 +13,12 @@ UNEXPLAINED = "unexplained"
 class Verdict(Protocol):
     """What a verdict of the product must have."""
 
-    joint: str
-    kind: Any
-    part: Any
+    @property
+    def joint(self) -> str: ...
+    @property
+    def kind(self) -> Any: ...
+    @property
+    def part(self) -> Any: ...
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ Convention of a log, the same as that of `sero-mj simulate --csv`: a row contain
 end of a step, and the torques that acted in this step. With the time step h, row k satisfies
 
     torques[k] = M(q[k-1]) a[k] + C(q[k-1], v[k-1]) v[k-1] + g(q[k-1])
-    commands[k] - torques[k] = B a[k] + friction(v[k]),    a[k] = (v[k] - v[k-1]) / h
+    commands[k] - torques[k] = B a[k] + friction(v[k-1]),   a[k] = (v[k] - v[k-1]) / h
 
 where v[k] = (q[k] - q[k-1]) / h. Torques are those of the joint on its outer link, positive in the
 direction of the angle. The torque sensor is between gear and link, behind the motor inertia B and
@@ -103,9 +103,11 @@ def load_robot(name: str) -> Robot:
         more = tomllib.loads(file.read_text("utf-8"))["robots"][name] if file.exists() else {}
         table = {**declared, **declared["dynamics"], **more.get("dynamics", {})}
     keys = ("torque_limits", "motor_inertias", "viscous_friction", "coulomb_friction")
-    arrays = [np.array(table[key], float) for key in keys]
-    pose = np.deg2rad(_POSES[name])
-    return Robot(name, scene, name != "g3", text, *arrays, pose, _FLANGES[name])
+    limits, inertias, viscous, coulomb = (np.array(table[key], float) for key in keys)
+    pose, is_declared = np.deg2rad(_POSES[name]), name != "g3"
+    return Robot(
+        name, scene, is_declared, text, limits, inertias, viscous, coulomb, pose, _FLANGES[name]
+    )
 
 
 @dataclass
@@ -193,8 +195,8 @@ class Plant:
         spread = np.where(np.arange(n) % 2 == 0, 30.0, 10.0)  # axes 1, 3, ... may turn far
         self.start = robot.pose + np.deg2rad(rng.uniform(-spread, spread))
         self._sizes = np.deg2rad(rng.uniform(4.0, 9.0, (3, n))) * rng.choice([-1.0, 1.0], n)
-        bands = np.array([[0.1, 0.2], [0.2, 0.35], [0.35, 0.6]])
-        self._rates = 2.0 * np.pi * rng.uniform(*bands.T[:, :, None], (3, n))
+        low, high = np.array([[0.1], [0.2], [0.35]]), np.array([[0.2], [0.35], [0.6]])
+        self._rates = 2.0 * np.pi * rng.uniform(low, high, (3, n))
 
     def reference(self, t: float) -> tuple[Array, Array]:
         """Returns the desired angles and velocities: three sines per joint, at rest at first."""
@@ -213,12 +215,12 @@ class Plant:
     def measured(self, q: Array) -> Array:
         for encoder in self.encoders:
             q = encoder(q)
-        return np.round(q / self.resolution) * self.resolution
+        return np.asarray(np.round(q / self.resolution) * self.resolution)
 
     def run(self) -> Log:
         """Simulates the run; it ends early if a joint leaves the desired motion."""
         rows = self._rows()
-        times = STEP * np.arange(1, len(rows) + 1)
+        times = np.asarray(STEP * np.arange(1, len(rows) + 1), np.float64)
         log = Log(times, *(np.array([row[k] for row in rows]) for k in range(3)))
         for change in self.sensors:
             log = change(log)
