@@ -102,6 +102,7 @@ class Explanation:
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
+        alternatives: other causes that the motion does not distinguish from this one.
     """
 
     joint: str
@@ -118,6 +119,7 @@ class Explanation:
     joints: tuple[str, ...] = ()
     is_difference: bool = False
     is_second: bool = False
+    alternatives: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -151,13 +153,12 @@ class Explanation:
             "masses": f"{size:+.1f}{_about(error)} % relative to the declared masses",
             "stuck": stuck,
             "tilt": f"base tilted by {about}, gravity along ({vector})",
-            "link mass": f"{change} of the link moved by {self.joint}",
-            "link center": f"center of mass of the link moved by {self.joint} shifted by "
-            f"({vector}) m",
+            "link mass": f"{change} of the {self._moved}",
+            "link center": f"center of mass of the {self._moved} shifted by ({vector}) m",
             "elasticity": f"stiffness of {about} between encoder and link",
             "backlash": f"{about} between encoder and link",
             "spring": f"torque of up to {abs(size):.3g} {unit} that depends on the angle",
-            "force": f"constant {about} at the flange, ({vector}) N in the world frame",
+            "force": f"constant {about} at the {self._moved}, ({vector}) N in the world frame",
             "motor inertia": change,
             "friction drift": f"{change} from start to end, "
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
@@ -169,6 +170,10 @@ class Explanation:
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
         return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
+
+    @property
+    def _moved(self) -> str:
+        return FLANGE if self.part == FLANGE else f"link moved by {self.joint}"
 
     @property
     def short(self) -> str:

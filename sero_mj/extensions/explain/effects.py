@@ -12,7 +12,7 @@ from functools import partial
 
 import numpy as np
 
-from ...base.frames import Array
+from ...base.frames import Array, frame
 from ...robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
 from ...study.explanation import BASE, COMMANDS, FLANGE, LINKS, Kind, Part
 from .link_torques import body_torques
@@ -229,11 +229,8 @@ def common_effects(found: TorqueResiduals) -> list[CommonEffect]:
 
 
 def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
-    robot, torques, links = found.robot, found.torques, found.motion.links
-    dynamics, jacobian = robot_dynamics(robot), robot.kinematics.jacobian
-    force = np.swapaxes(
-        jacobian(links[0], robot.base_frame, robot.T_n_flange, robot.flange_link)[:, :3], 1, 2
-    )
+    robot, torques = found.robot, found.torques
+    dynamics = robot_dynamics(robot)
     effects = [
         CommonEffect("payload", "flange", _PAYLOAD, _of_payload, place=FLANGE,
                      torques=torques.payload, min_size=0.03),
@@ -241,9 +238,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
                      torques=torques.model[..., None], is_constant=True, min_size=0.5),
         CommonEffect("tilt", "base", np.full(3, _TILT), _of_tilt, place=BASE,
                      torques=found.by_gravity, is_constant=True, min_size=0.1),
-        # The links exert the opposite of an external force.
-        CommonEffect("force", "flange", np.full(3, _FORCE), _of_force, place=FLANGE,
-                     torques=-force, min_size=0.5),
+        _pushed(found, robot.flange_link, robot.T_n_flange, "flange", FLANGE),
     ]  # fmt: skip
     for joint, name in enumerate(robot.names):
         by_angle = found.by_angle[:, :, [joint]]
@@ -261,9 +256,10 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
                          place=name, torques=-by_angle * np.sign(torque), is_constant=True,
                          allowed=(0.0, np.inf), min_size=scale * 2e-4),
         ]  # fmt: skip
-        mass = float(dynamics.masses[joint + 1])
+        mass, center = float(dynamics.masses[joint + 1]), dynamics.centers[joint + 1]
         if mass > 0.0:
-            effects += _of_link(found, joint, mass, dynamics.centers[joint + 1])
+            effects += _of_link(found, joint, mass, center)
+            effects.append(_pushed(found, joint + 1, frame(center), "link", name))
     return effects
 
 
@@ -282,6 +278,16 @@ def _of_link(found: TorqueResiduals, joint: int, mass: float, center: Array) -> 
         CommonEffect("link center", "link", np.full(3, _CENTER), partial(_of_center, mass),
                      place=name, torques=body[..., 1:4], is_constant=True, min_size=0.001),
     ]  # fmt: skip
+
+
+def _pushed(
+    found: TorqueResiduals, link: int, point: Array, part: Part, place: str
+) -> CommonEffect:
+    # A constant force at the origin of a frame on a link; the links exert the opposite.
+    robot, angles = found.robot, found.motion.links[0]
+    J = robot.kinematics.jacobian(angles, robot.base_frame, point, link)[:, :3]
+    return CommonEffect("force", part, np.full(3, _FORCE), _of_force, place=place,
+                        torques=-np.swapaxes(J, 1, 2), min_size=0.5)  # fmt: skip
 
 
 def _same(parameters: Array, errors: Array, joint: int) -> Size:

@@ -390,8 +390,15 @@ class TorqueExplainer(Explainer):
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    lines = ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
-             f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
+    lines = []
+    if found.undeclared:
+        keys = ", ".join(found.undeclared)
+        lines.append(
+            f"{found.robot.name} declares no {keys}: they are fitted to this recording, so only "
+            "changes of its drives are visible. Estimate them with `sero-mj identify`."
+        )
+    lines += ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
+              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:
         lines.append("Commands come from a joint torque loop that already compensates friction.")
     if not found.has_model:

@@ -7,7 +7,7 @@ edges in time. With cumulative sums over rows, the cost of each pair of edges is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from math import erf
 from typing import Any
@@ -34,6 +34,9 @@ MIN_ROWS = 8  # minimum number of rows in an interval
 # Noise floor as a share of the torque limit, as a share of the torque, and in s of its rate.
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
 _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are not reported
+_MIN_CONFIDENCE = 0.5  # of a kind; below, torques are unexplained
+_SIDES: tuple[Part, Part] = ("joint", "drive")  # parts of torques that are unexplained
+_SIMILAR = 6.0  # difference of scores below which the odds are less than 20
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
@@ -71,6 +74,7 @@ class _Fit:
     errors: Array
     confidence: float = 0.0
     used: Bools | None = None  # joints used for the fit; None for all
+    alternatives: tuple[str, ...] = ()  # other kinds that the data cannot exclude
 
     @property
     def common(self) -> CommonEffect | None:
@@ -250,8 +254,9 @@ class Search:
         highest, best = max(totals, key=lambda each: each[0])
         if highest <= alternative:
             return first
-        rivals = [total for total, fit in totals if fit.common is not best.common]
-        best.confidence = _odds([highest, alternative, *rivals])
+        rivals = [(total, fit) for total, fit in totals if fit.common is not best.common]
+        best.confidence = _odds([highest, alternative, *(total for total, _ in rivals)])
+        best.alternatives = _similar(highest, rivals)
         return best
 
     def _total_with(self, common: _Fit) -> float | None:
@@ -285,8 +290,9 @@ class Search:
         best = max(known, key=lambda fit: fit.gain, default=None)
         if best is None or best.gain < _MIN_SCORE or not self._matters(best):
             return None
-        rivals = [fit.gain for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
-        best.confidence = _odds([best.gain, *rivals, 0.0])
+        rivals = [fit for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
+        best.confidence = _odds([best.gain, *(fit.gain for fit in rivals), 0.0])
+        best.alternatives = _similar(best.gain, [(fit.gain, fit) for fit in rivals])
         return best
 
     def _refined(self, joint: int, candidate: JointEffect) -> _Fit | None:
@@ -378,7 +384,7 @@ class Search:
         whole = np.zeros((*self.y.shape, 1))
         whole[side, rows, joint, 0] = y[rows]
         last = self.edges.end if rows.stop >= len(y) else 2 * rows.stop
-        return _Fit(joint, "unexplained", "joint" if side == 0 else "drive", None, whole,
+        return _Fit(joint, "unexplained", _SIDES[side], None, whole,
                     np.ones(1), (2 * rows.start, last),
                     float(gain - (count + 2.0) * np.log(facts)), np.ones(1),
                     np.array([np.nan]))  # fmt: skip
@@ -533,7 +539,7 @@ class Search:
         order = {name: k for k, name in enumerate([*self.found.robot.names, *PLACES])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
-        found = [*more, *(self._explanation(fit) for fit in fits)]
+        found = [*more, *_one_per_side([self._explanation(fit) for fit in fits])]
         found.sort(key=lambda each: each.kind == "noise")  # last, as vibrations also cause noise
         return sorted(found, key=lambda each: order[each.joint])
 
@@ -593,23 +599,29 @@ class Search:
         affected = self._effects(fit) > MIN_EFFECT * found.scale
         joints = np.array(names)[affected].tolist() if fit.joint < 0 else [names[fit.joint]]
         is_revolute = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
-        kind, confidence = fit.kind, fit.confidence
+        kind, part, confidence = fit.kind, fit.part, fit.confidence
+        alternatives = fit.alternatives
+        place = names[fit.joint] if fit.common is None else fit.common.place
         if kind == "gain" and abs(float(fit.parameters[0])) > MIN_SIGN:
             kind = "sign"
-        if fit.effect is None:
-            effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
-            size = Size(float(effect[np.argmax(np.abs(effect))]), np.nan, "Nm")
-        else:
+        if fit.effect is not None:
             size = fit.effect.size(fit.parameters, fit.errors, fit.joint)
             confidence = limited(confidence, self._unexplained_share(fit))
+        if fit.effect is None or confidence < _MIN_CONFIDENCE:
+            torques = (fit.columns @ fit.parameters) * self.sigma
+            side, row, joint = np.unravel_index(np.argmax(np.abs(torques)), torques.shape)
+            size, place = Size(float(torques[side, row, joint]), np.nan, "Nm"), names[joint]
+            if fit.effect is not None:
+                alternatives = (_name(fit), *alternatives)
+                kind, part, confidence = "unexplained", _SIDES[side], 1.0 - confidence
         unit = "N" if size.unit == "Nm" and not is_revolute else size.unit
         first, last = fit.edges
-        place = names[fit.joint] if fit.common is None else fit.common.place
         return Explanation(
-            place, kind, fit.part, size.size, unit, size.error,
+            place, kind, part, size.size, unit, size.error,
             confidence, float(found.times[0] + 0.5 * first * found.step),
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
             first == 0, size.values, tuple(joints),
+            alternatives=tuple(dict.fromkeys(each for each in alternatives if each != kind)),
         )  # fmt: skip
 
 
@@ -635,6 +647,43 @@ def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tup
     rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)
     variance = _ROWS_PER_FACT * max(rest / count, _MIN_VARIANCE)
     return parameters, np.sqrt(np.diag(covariance) * variance)
+
+
+def _similar(score: float, rivals: Sequence[tuple[float, _Fit]]) -> tuple[str, ...]:
+    # Names of other explanations with almost the same score, the best first.
+    ordered = sorted(rivals, key=lambda each: -each[0])
+    return tuple(dict.fromkeys(_name(fit) for each, fit in ordered if score - each < _SIMILAR))
+
+
+def _name(fit: _Fit) -> str:
+    if fit.effect is None:
+        return fit.kind
+    if fit.common is not None and fit.common.place not in PLACES:
+        return f"{fit.kind} at {fit.common.place}"
+    return f"{fit.kind} of the {fit.part}"
+
+
+def _one_per_side(explanations: Sequence[Explanation]) -> list[Explanation]:
+    # Several unexplained torques of a joint are one, with the time of all.
+    found: dict[tuple[str, str, str, int], Explanation] = {}
+    for k, each in enumerate(explanations):
+        is_known = each.kind != "unexplained"
+        key = each.joint, each.kind, each.part, k if is_known else -1
+        other = found.get(key)
+        if other is None:
+            found[key] = each
+            continue
+        first, second = sorted((each, other), key=lambda one: -abs(one.size))
+        ends = [one.end for one in (first, second)]
+        found[key] = replace(
+            first,
+            begin=min(first.begin, second.begin),
+            end=None if None in ends else max(end for end in ends if end is not None),
+            from_start=first.from_start or second.from_start,
+            joints=tuple(dict.fromkeys((*first.joints, *second.joints))),
+            alternatives=tuple(dict.fromkeys((*first.alternatives, *second.alternatives))),
+        )
+    return list(found.values())
 
 
 def _odds(scores: Sequence[float]) -> float:
