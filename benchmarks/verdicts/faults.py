@@ -448,7 +448,8 @@ def encoder_eccentric(p: Plant) -> Truth:
     phase = p.rng.choice([0.0, np.pi]) + p.rng.uniform(0.5, 1.2) - p.start[j]
     encoder(p, j, lambda q: q + size * np.sin(q + phase))
     # In a range of 30 degrees, this is an offset that changes by about half.
-    return everywhere(p, (p.robot.joints[j], "encoder", "encoder"))
+    name = p.robot.joints[j]
+    return everywhere(p, (name, "encoder", "encoder"), (name, "encoder scale", "encoder"))
 
 
 @kind
@@ -457,11 +458,11 @@ def encoder_quantized(p: Plant) -> Truth:
     return everywhere(p)
 
 
-@kind
+@named
 def gear_ratio(p: Plant) -> Truth:
     j, ratio = elbow(p), p.rng.choice([0.9, 1.1, 1.25])
     encoder(p, j, lambda q: ratio * q)
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[j], "encoder scale", "encoder"))
 
 
 # Links, base and forces

@@ -26,9 +26,11 @@ _MAX_GAIN = 2.6  # maximum deviation from 1
 MIN_SIGN = 1.3  # minimum deviation from 1 of a gain that is reported as a wrong sign
 _TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, then refined
 # Tried torques at which a drive saturates, as shares of the largest command, then refined.
-_TRIED_LEVELS = np.linspace(0.3, 0.95, 14)
-_LEVEL_STEPS = (0.98, 0.995, 1.005, 1.02)
+_TRIED_LEVELS = np.geomspace(0.05, 0.95, 20)
+_LEVEL_STEPS = (0.93, 0.98, 0.995, 1.005, 1.02, 1.07)
 _MIN_RANGE = 0.1  # rad or m, of the angles at which a spring is visible
+_MIN_INERTIA = 0.15  # share of the declared motor inertia
+_MIN_SIGN_CHANGES = 0.05  # share of rows with the less frequent sign of the torque
 _MAX_OFFSET = 0.2  # rad or m, of an encoder offset with a linear effect
 # Prior standard deviations in SI units.
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
@@ -79,11 +81,13 @@ class JointEffect(Effect):
 
     Attributes:
         columns: effects on the residuals of link and motor per parameter, shape (K, n) each.
+        least: minimum magnitude of the first parameter of each joint, shape (n,); None for 0.
         variants: returns effects of similar values for a fitted first parameter, if the effect is
             not linear in a value, such as a delay.
     """
 
     columns: Sequence[tuple[Array, Array]] = ()
+    least: Array | None = None
     variants: Callable[[float], Sequence[JointEffect]] | None = None
 
 
@@ -140,12 +144,13 @@ def joint_effects(found: TorqueResiduals, true: Array, late: Array) -> list[Join
 def _of_motors(found: TorqueResiduals, true: Array) -> list[JointEffect]:
     zero, signs, velocities = np.zeros_like(found.link), found.motion.signs, found.motion.velocities
     torque, ones = SHARE * found.scale[:, None], np.ones((found.robot.n, 1))
+    declared = robot_dynamics(found.robot).motor_inertias
     effects = []
     if OF_MOTORS[0] not in found.undeclared:
         inertia = [(zero, found.motion.accelerations)]
         effects.append(JointEffect(
             "motor inertia", "drive", ones, _scaled(1.0, "kg m2"), is_constant=True,
-            columns=inertia,
+            columns=inertia, least=_MIN_INERTIA * declared,
         ))  # fmt: skip
     if found.torque_control:
         return effects
@@ -240,6 +245,8 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
                      torques=found.by_gravity, is_constant=True, min_size=0.1),
         _pushed(found, robot.flange_link, robot.T_n_flange, "flange", FLANGE),
     ]  # fmt: skip
+    angles = found.motion.links[0] - np.nanmean(found.motion.links[0], axis=0)
+    one = np.ones((len(angles), 1))
     for joint, name in enumerate(robot.names):
         by_angle = found.by_angle[:, :, [joint]]
         torque = torques.model[:, [joint], None]
@@ -249,18 +256,35 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
             CommonEffect("encoder", "encoder", np.array([_ENCODER]), _scaled(scale, unit),
                          place=name, torques=-by_angle, allowed=(-_MAX_OFFSET, _MAX_OFFSET),
                          min_size=scale * 5e-4),
+            CommonEffect("encoder scale", "encoder", np.array([_GAIN, _ENCODER]), _of_scale,
+                         place=name, is_constant=True, min_size=1.0,
+                         torques=-by_angle * np.stack([angles[:, [joint]], one], axis=-1)),
             CommonEffect("elasticity", "joint", np.array([_COMPLIANCE]), _of_elasticity,
-                         place=name, torques=-by_angle * torque, is_constant=True,
+                         place=name, torques=_by_deflection(found, joint), is_constant=True,
                          allowed=(0.0, np.inf)),
-            CommonEffect("backlash", "joint", np.array([_BACKLASH]), _scaled(2.0 * scale, unit),
-                         place=name, torques=-by_angle * np.sign(torque), is_constant=True,
-                         allowed=(0.0, np.inf), min_size=scale * 2e-4),
         ]  # fmt: skip
+        if (
+            2.0 * _MIN_SIGN_CHANGES
+            < 1.0 + np.nanmean(np.sign(torque))
+            < 2.0 - 2.0 * _MIN_SIGN_CHANGES
+        ):
+            effects.append(CommonEffect(
+                "backlash", "joint", np.array([_BACKLASH]), _scaled(2.0 * scale, unit),
+                place=name, torques=-by_angle * np.sign(torque), is_constant=True,
+                allowed=(0.0, np.inf), min_size=scale * 2e-4,
+            ))  # fmt: skip
         mass, center = float(dynamics.masses[joint + 1]), dynamics.centers[joint + 1]
         if mass > 0.0:
             effects += _of_link(found, joint, mass, center)
             effects.append(_pushed(found, joint + 1, frame(center), "link", name))
     return effects
+
+
+def _by_deflection(found: TorqueResiduals, joint: int) -> Array:
+    # The link of an elastic joint is behind its encoder by torque / stiffness.
+    change = found.by_angle[:, :, joint] * found.torques.measured[:, [joint]]
+    change += found.by_acceleration[:, :, joint] * found.torques.curvature[:, [joint]]
+    return -change[..., None]
 
 
 def _of_link(found: TorqueResiduals, joint: int, mass: float, center: Array) -> list[CommonEffect]:
@@ -341,6 +365,11 @@ def _of_center(mass: float, parameters: Array, errors: Array, joint: int) -> Siz
     shift = parameters / mass
     size, error = float(np.linalg.norm(shift)), float(np.linalg.norm(errors)) / mass
     return Size(size, error, "m", _vector(shift))
+
+
+def _of_scale(parameters: Array, errors: Array, joint: int) -> Size:
+    values = {"offset": float(parameters[1])}
+    return Size(100.0 * float(parameters[0]), 100.0 * float(errors[0]), "%", values)
 
 
 def _of_elasticity(parameters: Array, errors: Array, joint: int) -> Size:

@@ -40,6 +40,7 @@ _SIMILAR = 6.0  # difference of scores below which the odds are less than 20
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
+_MAX_COMMONS = 6  # tried effects that concern all joints, with fits of their residuals
 _MAX_OF_KIND = 2  # tried effects of the same kind that concern all joints
 _REFITS = 4
 _TIE = 1e-3  # preference between equivalent explanations
@@ -238,17 +239,17 @@ class Search:
         # If a joint has its own fault, the other joints fit the common effect.
         without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
         alternative = sum(fit.gain for fit in fits)
-        totals: list[tuple[float, _Fit]] = []
+        tried: list[_Fit] = []
         for common, X in self._commons():
             y = self.left[common.side]
             sums = [self.edges.sums(X[None, :, j], y[None, :, j]) for j in range(self.n)]
-            tried = [self._of_all_joints(common, X, sums, joint) for joint in without]
-            found = [fit for fit in tried if fit is not None]
-            found.sort(key=lambda fit: -fit.gain)
-            totals += [
-                (total, fit) for fit in found[:_MAX_TRIED]
-                if (total := self._total_with(fit)) is not None
-            ]  # fmt: skip
+            found = [self._of_all_joints(common, X, sums, joint) for joint in without]
+            tried += sorted((fit for fit in found if fit), key=lambda fit: -fit.gain)[:_MAX_TRIED]
+        tried.sort(key=lambda fit: -fit.gain)
+        totals = [
+            (total, fit) for fit in tried[:_MAX_COMMONS]
+            if (total := self._total_with(fit)) is not None
+        ]  # fmt: skip
         if not totals:
             return first
         highest, best = max(totals, key=lambda each: each[0])
@@ -348,7 +349,9 @@ class Search:
             return None
         H, g, _ = sums.between(first, last)
         parameters, errors = _solved(H, g, inverse, total, int(count))
-        if not candidate.allowed[0] < parameters[0] < candidate.allowed[1]:
+        least = 0.0 if candidate.least is None else candidate.least[joint]
+        is_small = abs(parameters[0]) < least
+        if is_small or not candidate.allowed[0] < parameters[0] < candidate.allowed[1]:
             return None
         whole = np.zeros((*self.y.shape, len(priors)))
         whole[:, :, joint] = X * self.edges.share(first, last)[:, None]

@@ -51,6 +51,16 @@ def torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
     return found
 
 
+def mass_matrices(robot: SerialRobot, q: Array) -> Array:
+    """Returns M(q) without motor inertias, shape (K, n, n)."""
+    still = np.zeros_like(q)
+    columns = [
+        link_torques(robot, q, still, np.broadcast_to(unit, q.shape), np.zeros(3))
+        for unit in np.eye(robot.n)
+    ]
+    return np.stack(columns, axis=-1)
+
+
 def torques_by_gravity(robot: SerialRobot, q: Array) -> Array:
     """Returns link torques at rest per m/s2 of gravity along each world axis, shape (K, n, 3)."""
     still = np.zeros_like(q)

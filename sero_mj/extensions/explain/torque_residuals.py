@@ -35,7 +35,13 @@ from ...robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
 from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog, compared_signal
 from ...study.align import Pair, at_times
-from .link_torques import body_torques, link_torques, torques_by_angle, torques_by_gravity
+from .link_torques import (
+    body_torques,
+    link_torques,
+    mass_matrices,
+    torques_by_angle,
+    torques_by_gravity,
+)
 
 WINDOW = 0.016  # s, standard deviation of the low-pass filter: 10 Hz
 _SUPPORT = 4.0  # half width of the filter kernel in standard deviations
@@ -66,6 +72,7 @@ class Torques:
     Attributes:
         model: link torques of the model.
         rates: rates of change of the measured or commanded torques (the faster of the two), Nm/s.
+        curvature: second derivatives of the measured torques, Nm/s2.
         requested: torques requested by joint torque control within the limits of the drives,
             without friction compensation.
         delivered: torques of the drives, from measured torques and the motion of the motors.
@@ -79,6 +86,7 @@ class Torques:
     commanded: Array
     model: Array
     rates: Array
+    curvature: Array
     requested: Array
     delivered: Array
     late_model: Array
@@ -168,6 +176,11 @@ class TorqueResiduals:
     def by_angle(self) -> Array:
         """Derivatives of the model torques with respect to the joint values, shape (K, n, n)."""
         return torques_by_angle(self.robot, *self.motion.links)
+
+    @cached_property
+    def by_acceleration(self) -> Array:
+        """Mass matrices of the links at the filtered angles, shape (K, n, n)."""
+        return mass_matrices(self.robot, self.motion.links[0])
 
     @cached_property
     def by_gravity(self) -> Array:
@@ -263,6 +276,7 @@ def torque_residuals(
         commanded=low_pass(commanded),
         model=low_pass(model),
         rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
+        curvature=low_pass.second(measured),
         requested=low_pass(np.clip(requested, -limit, limit)),
         delivered=low_pass(measured) + inertial,
         late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
