@@ -537,6 +537,12 @@ class Search:
             y.reshape(-1, y.shape[-1]), X.reshape(-1, *X.shape[-2:]), fit.priors
         )
 
+    def _ratio(self, fit: _Fit) -> float:
+        # Size of a fit relative to the largest one, at the joint where it is largest.
+        effects = np.stack([self._effects(each) for each in self.fits])
+        largest = np.maximum(effects.max(axis=0), 1e-12)
+        return float((self._effects(fit) / largest).max())
+
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
         """Returns all explanations and `more`, joint by joint, in descending order of size."""
         order = {name: k for k, name in enumerate([*self.found.robot.names, *PLACES])}
@@ -609,7 +615,7 @@ class Search:
             kind = "sign"
         if fit.effect is not None:
             size = fit.effect.size(fit.parameters, fit.errors, fit.joint)
-            confidence = limited(confidence, self._unexplained_share(fit))
+            confidence = limited(confidence, self._unexplained_share(fit), self._ratio(fit))
         if fit.effect is None or confidence < _MIN_CONFIDENCE:
             torques = (fit.columns @ fit.parameters) * self.sigma
             side, row, joint = np.unravel_index(np.argmax(np.abs(torques)), torques.shape)

@@ -96,9 +96,10 @@ def test_wrong_mass_or_center_of_one_link_is_named(found: TorqueResiduals, link:
 
 def test_elastic_joint_is_named_with_its_stiffness(found: TorqueResiduals) -> None:
     angles, velocities, accelerations = found.motion.links
-    softer = angles.copy()
-    softer[:, 1] -= found.torques.model[:, 1] / 3000.0
-    more = link_torques(found.robot, softer, velocities, accelerations) - link_torques(
+    softer, bends = angles.copy(), accelerations.copy()
+    softer[:, 1] -= found.torques.measured[:, 1] / 3000.0
+    bends[:, 1] -= found.torques.curvature[:, 1] / 3000.0
+    more = link_torques(found.robot, softer, velocities, bends) - link_torques(
         found.robot, angles, velocities, accelerations
     )
     first = first_of(replace(found, link=found.link + more))
