@@ -59,7 +59,7 @@ def test_overlay_has_the_look_of_its_model() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
     with pytest.raises(
-        UsageError, match="look: found 'dark'; the look of an overlay is that of its model"
+        UsageError, match="look: found 'dark'; an overlay always has the look of its model"
     ):
         sero_mj.view(overlay, web=True, look="dark")
 

@@ -98,7 +98,7 @@ class Cells:
         else:
             self._process.answers[_RUN] = self._store
             self._cells.append(_Cell(self._title, self._look, self._url))
-            self._process.tell(_RUN, "begin")
+            self._process.send(_RUN, "begin")
 
     def _store(self, run: str) -> None:
         for cell in self._cells:
@@ -108,7 +108,7 @@ class Cells:
     def store_last(self) -> None:
         if self._cells:
             self._has_run.clear()
-            self._process.tell(_RUN, "now")
+            self._process.send(_RUN, "now")
             self._has_run.wait(_LAST_RUN)
 
     def close(self, *, is_exit: bool = False) -> None:
