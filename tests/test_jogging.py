@@ -125,7 +125,7 @@ def test_joints_stop_at_their_limits_and_report_them() -> None:
     goal.set_all(BENT)
     goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)
     assert goal.angles == pytest.approx(BENT)
-    assert goal.trouble.startswith("not reached, 1")
+    assert goal.trouble.startswith("the pose is not reached (1")
     assert goal.trouble.endswith("; the robot does not move")
     assert goal.mark is not None and goal.mark[0].tolist() == [2.0, 0.0, 0.3]
     there = goal.flange(np.eye(4))
