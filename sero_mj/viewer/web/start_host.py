@@ -88,7 +88,7 @@ class StartHost:
         )
 
     def run(self) -> Mirror | None:
-        """Serves the page, and returns the mirror of the chosen scene, or None if none is chosen."""
+        """Serves the page, and returns the mirror of the chosen scene, or None without a choice."""
         while self.server.is_running:
             for message, sender in self.browsers.take():
                 self.sender = sender

@@ -244,8 +244,8 @@ def _checked(text: str) -> PurePosixPath:
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
     """Returns the file of a drop that must be opened.
 
-    This is the file nearest to the top folder. If there are several candidates, files are preferred
-    if they have the name of a robot file, a scene file or their folder, and then the only TOML file.
+    This is the file nearest to the top folder. If there are several candidates, those with the name
+    of a robot file, of a scene file or of their folder are preferred, and then the only TOML file.
 
     Raises:
         UsageError: no file can be opened, or the choice is ambiguous.
