@@ -244,7 +244,7 @@ def test_dragged_link_follows_the_pointer_until_released(link: int) -> None:
     for _ in range(60):
         trouble = jogging.drag()
         settle(mirror, jogging, 0.05)
-    assert trouble.startswith("not reached, ")
+    assert trouble.startswith("the pose is not reached (")
     assert toggles.handles is not None and toggles.handles.mark is not None
     low, high = part.robot.position_limits.T
     assert (data.qpos >= low - 1e-9).all() and (data.qpos <= high + 1e-9).all()

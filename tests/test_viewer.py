@@ -42,7 +42,7 @@ def test_unsupported_options_are_rejected(
 
 
 def test_robot_alone_is_rejected_as_scene() -> None:
-    with pytest.raises(UsageError, match=r"found SerialRobot; .*; Scene\(robots=\[...\]\) holds"):
+    with pytest.raises(UsageError, match=r"found SerialRobot; .*; use Scene\(robots="):
         sero_mj.view(SerialRobot.from_model("lwr"), web=True)  # type: ignore[arg-type]
 
 
