@@ -175,7 +175,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
         key="data",
         reason="found data of a model with nq =",
         found=1,
-        expected="11; create the data with mujoco.MjData(model)",
+        expected="11, as in mujoco.MjData(model)",
     ):
         sero_mj.overlay(model, other)
     hinge, _ = compiled(XML.format("<joint/>"))

@@ -352,7 +352,7 @@ def _check_data(model: mujoco.MjModel, data: Any) -> None:
                 "data",
                 f"found data of a model with {field} =",
                 found=found,
-                expected=f"{expected}; create the data with mujoco.MjData(model)",
+                expected=f"{expected}, as in mujoco.MjData(model)",
             )
             raise UsageError(problem)
     for field in ("jnt_type", "jnt_bodyid", "body_parentid"):
