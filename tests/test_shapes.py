@@ -314,7 +314,7 @@ def test_object_fields_are_checked():
             Problem(
                 "mesh",
                 found="a.doc",
-                expected=f"a mesh ({', '.join(mesh_endings())})",
+                expected=f"a mesh file ({', '.join(mesh_endings())})",
             ),
         ),
     ],
