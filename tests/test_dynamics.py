@@ -428,7 +428,7 @@ def test_elastic_joints_require_motor_inertias():
     assert caught.value.problems == [
         Problem(
             "robots.arm.dynamics.motor_inertias",
-            "joint 2: found 0; expected a motor inertia above 0 for a robot with elastic_joints",
+            "joint 2: found 0; expected a positive motor inertia, because elastic_joints is true",
         )
     ]
     World(Scene(robots=[robot]))  # valid for display

@@ -185,8 +185,8 @@ WRONG = {
                 file="s.toml", line=2),
         Problem("routes.x", found=True, expected=EVENT, file="s.toml", line=3),
     ],
-    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, expected="the name of a robot",
-                                          file="s.toml", line=3)],
+    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, file="s.toml", line=3,
+                                          expected="the name of a robot")],
     "[robots.arm]\n\nmodel = 'lrw'": [
         Problem("robots.arm.model", "no robot model", found="lrw", available=["lwr"],
                 file="s.toml", line=3)

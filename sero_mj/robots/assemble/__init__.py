@@ -1,6 +1,6 @@
-"""Compile the declaration of a scene into a world, once.
+"""Compiles the declaration of a scene into a world.
 
-In: a `Scene`. Out: a `World`: the `MjModel`, ids by name, and slots of `MjData.userdata` for values
-without a field in `MjData`.
-Open first: `world.py`; then `mjcf.py` for building the model.
+The input is a `Scene`. The output is a `World`, which contains the `MjModel`, ids by name, and
+slots of `MjData.userdata` for values without a field in `MjData`.
+Start with `world.py`, and continue with `mjcf.py`, which builds the model.
 """

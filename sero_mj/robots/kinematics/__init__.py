@@ -1,6 +1,5 @@
-"""Kinematics of robots in numpy: joints to frames, and frames to Denavit-Hartenberg tables.
+"""Kinematics of robots in NumPy, and conversion of joint frames to Denavit-Hartenberg tables.
 
-In: Denavit-Hartenberg tables or frames of joints, and joint values. Out: frames, joint axes and
-Jacobians, for one pose or many.
-Open first: `joint_tree.py`; then `dh.py`.
+The input is a Denavit-Hartenberg table or joint frames, with one or many sets of joint values. The
+output is frames, joint axes and Jacobians. Start with `joint_tree.py`, and continue with `dh.py`.
 """
