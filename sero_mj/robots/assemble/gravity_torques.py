@@ -38,11 +38,7 @@ class GravityTorques:
         self._torques: Array = np.zeros(self._world.model.nv)
 
     def of(self, angles: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the gravity torques of each robot, shape (n,), Nm or N, by name.
-
-        Args:
-            angles: joint values of each robot, shape (n,), rad or m, by name.
-        """
+        """Returns the gravity torques of each robot at joint angles (n,), shape (n,), Nm or N."""
         model, data, parts = self._world.model, self._data, self._world.robots
         for name, part in parts.items():
             data.qpos[part.qpos] = angles[name]

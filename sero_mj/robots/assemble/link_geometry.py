@@ -43,12 +43,7 @@ def drawn_geoms(
 ) -> list[list[Geom]]:
     """Returns the attributes of the visible geoms of the base and of each link, in link frames.
 
-    Args:
-        root: spec to which meshes and materials are added.
-        robot: robot with the links.
-        problems: list to which errors are added.
-        shrink: factor for sizes, about the origin of each link.
-        hull: whether meshes get a convex hull.
+    Sizes are multiplied by `shrink`, about the origin of each link. Errors are added to `problems`.
     """
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     if robot.mjcf is not None:

@@ -67,11 +67,8 @@ _SHRINK = 0.985
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
     """Builds a scene as one `MjSpec`, with names scoped by robot (`lwr/link1`).
 
-    Raises DeclarationError if a file is missing or cannot be read.
-
-    Args:
-        scene: scene to be built.
-        dynamics: dynamics of the robots by name for simulation, or None for display only.
+    `dynamics` contains the dynamics of the robots for simulation, or is None for display. Raises
+    DeclarationError if a file is missing or cannot be read.
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
@@ -313,10 +310,7 @@ def build_surroundings(
     """Builds the default surroundings of scenes, without robots, for an external model.
 
     Args:
-        look: color theme.
         floor: height of the floor, m; None for no floor.
-        sky: whether a sky is added.
-        lights: whether a headlight and a light that casts shadows are added.
         middle: center of the lit region, shape (3,), m.
         size: size of the lit region, m.
     """

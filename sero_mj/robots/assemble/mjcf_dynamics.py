@@ -259,8 +259,6 @@ def exclude_mounted(
     its carrier, or to two robots on the same link, such as fingers on a palm.
 
     Args:
-        root: spec of the scene.
-        robots: robots by name.
         together: names of robots that stand close together, as if mounted on the same link.
     """
     # Robots near each carrying link, each with its adjacent links and their distances in joints.

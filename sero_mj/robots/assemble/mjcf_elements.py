@@ -39,8 +39,6 @@ def mesh_assets(
     If the spec contains a mesh of the same file and scale, it is reused.
 
     Args:
-        spec: spec to which the meshes are added.
-        name: name of the first mesh; the others have this name with a number.
         path: mesh file in any supported format.
         scale: unit of the file in m, as one number or shape (3,). Negative numbers mirror the mesh.
         hull: whether the mesh has a convex hull: "always" for collisions, for which flat meshes
@@ -79,9 +77,9 @@ def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
 
 
 def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
-    """Returns the material attribute of geoms with a surface finish.
+    """Returns the material attribute of geoms with a surface finish, and adds the material.
 
-    The material is added to the spec if necessary. Geoms without a material are plastic.
+    Geoms without a material are plastic.
     """
     if finish == "plastic":
         return {}

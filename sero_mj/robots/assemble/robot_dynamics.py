@@ -52,10 +52,7 @@ _LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0
 
 
 class LinkInertia(NamedTuple):
-    """Masses, centers of mass and inertia tensors of the base and the links of a robot.
-
-    Shapes, units and frames are those of `RobotDynamics`.
-    """
+    """The masses, centers of mass and inertia tensors of a robot, as in `RobotDynamics`."""
 
     masses: Array
     centers: Array
@@ -239,10 +236,7 @@ def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
 
 
 def holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
-    """Returns the torques that hold the arm, stretched horizontally from each joint.
-
-    The result has the shape (n,), in Nm or N.
-    """
+    """Returns torques (n,) that hold the arm if it is stretched horizontally from each joint."""
     table = robot.kinematics
     along = table.path_lengths(table.distances())
     gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
@@ -329,8 +323,7 @@ def _cached_hull(cloud: bytes) -> Array:
     points = np.frombuffer(cloud).reshape(-1, 3)
     root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", points))
     model = root.compile()
-    # mesh_graph contains the numbers of corners and faces, an address per corner, a vertex per
-    # corner, and more.
+    # mesh_graph starts with the numbers of corners and faces, and an address and vertex per corner.
     graph = model.mesh_graph[model.mesh_graphadr[0] :]
     count = int(graph[0])
     hull = np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])

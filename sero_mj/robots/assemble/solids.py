@@ -26,13 +26,7 @@ def is_shown(model: mujoco.MjModel) -> Bools:
 
 
 def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> Ints:
-    """Returns the ids of the visible geoms of a robot, or of all its geoms if none is visible.
-
-    Args:
-        model: compiled model.
-        bodies: ids of the robot's bodies.
-        trunk: ids of geoms of the world body that belong to the robot.
-    """
+    """Returns the ids of the visible (or else all) geoms of bodies, and of the geoms `trunk`."""
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
     if trunk is not None:
         mine[trunk] = True

@@ -43,7 +43,6 @@ class World(WorldView):
     """A compiled scene for display or simulation.
 
     Args:
-        scene: declaration of the scene.
         dynamic: whether the model is for simulation instead of display only.
         dynamics: dynamics of the robots by name, for simulation (default: as declared).
 
@@ -168,7 +167,6 @@ class World(WorldView):
         """Sets an input of the scene. Call `data.drive.place` afterwards to move the frames.
 
         Args:
-            data: data in which the input is set.
             target: name of the input, for example `lwr.joint_angles`. If it is an input of a group,
                 the values are distributed to the robots of the group.
             values: array of shape (n,) or (3,), frame of shape (4, 4), or one number. In inputs
@@ -359,10 +357,7 @@ def _warn_of_lengths(scene: Scene) -> None:
 
 
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
-    """Returns the dynamics of all robots of a scene by name.
-
-    Raises DeclarationError with the errors of all robots.
-    """
+    """Returns the dynamics of all robots of a scene. Raises DeclarationError with all errors."""
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
     for name, robot in scene.robots.items():

@@ -53,17 +53,13 @@ class WorldView(Protocol):
     def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: mujoco.MjData) -> Any:
-        """Returns the state that decor reads.
+        """Returns the state that decor reads, which is an `MjData` or has these of its fields.
 
-        The state has the fields `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat` and
-        `userdata` of an `MjData`.
+        The fields are `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat` and `userdata`.
         """
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns the visible doubles that are not compiled into the model.
-
-        `shown` is a mask of the visible doubles, shape (D,).
-        """
+        """Returns the doubles in the mask `shown` (D,) that are not compiled into the model."""
 
     def geoms_in_view(self) -> Bools:
         """Returns a mask of the geoms that a view of the whole scene includes, shape (ngeom,)."""
@@ -107,9 +103,6 @@ class WorldView(Protocol):
             target: name of the input of a robot, double or group, such as `lwr.torques`.
             values: values of the input. For a group, these are the values of all joints or of the
                 independent joints of its robots, in order. A toggle applies to all robots.
-
-        Returns:
-            values by name of the input.
 
         Raises:
             UnknownName: no robot of the group has this input.

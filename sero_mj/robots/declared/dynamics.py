@@ -85,14 +85,10 @@ def inertia_problem(tensor: Array) -> str | None:
 
 
 def balanced_tensor(tensor: Array, mass: float) -> Array:
-    """Returns the most similar valid inertia tensor with the same principal axes.
+    """Returns a similar, valid inertia tensor (3, 3) with the same principal axes, in kg m2.
 
     The principal moments are raised to at least those of a ball with a radius of 5 mm. If the two
     smaller ones then sum to less than the largest, both are raised by the same amount.
-
-    Args:
-        tensor: invalid inertia tensor, shape (3, 3), kg m2.
-        mass: mass of the body, kg.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)

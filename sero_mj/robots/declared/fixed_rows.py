@@ -17,9 +17,7 @@ FIXED = "fixed"
 def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> Problem | None:
     """Returns a problem with a suggestion if the joint types contain `fixed`, and None otherwise.
 
-    Args:
-        types: joint types of the rows.
-        declared: fields of the robot that have been validated so far.
+    `declared` contains the fields of the robot that have been validated so far.
     """
     if FIXED not in types:
         return None

@@ -153,10 +153,7 @@ def group_problems(
 ) -> list[Problem]:
     """Returns problems with unknown or repeated members, cycles, and contradictory defaults.
 
-    Args:
-        groups: groups by name.
-        found: resolved members of the groups.
-        declared: names of all robots and groups, including invalid ones.
+    `declared` contains the names of all robots and groups, including invalid ones.
     """
     problems = []
     for name, group in groups.items():

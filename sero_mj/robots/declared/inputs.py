@@ -196,18 +196,11 @@ def inputs_of_group(
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Distributes the values of an input of a group to the members of the group.
+    """Distributes the values of an input of a group to the corresponding inputs of its members.
 
     Per-joint values may be those of all joints or of the independent joints. Other values are set
-    for all members.
-
-    Args:
-        items: inputs of the members.
-        target: name of the input of the group, for messages.
-        values: values of the input of the group.
-
-    Raises:
-        DeclarationError: the number of values is wrong, or joint angles are not finite.
+    for all members. Raises DeclarationError if the number of values is wrong, or if joint angles
+    are not finite.
     """
     if items[0].kind not in ("angles", "values"):
         return [values] * len(items)
@@ -232,7 +225,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
 
     Args:
         numbers: 16 numbers of a 4x4 matrix in row-major order, 7 numbers (x, y, z and a unit
-            quaternion w, x, y, z), or 3 numbers (x, y and yaw of a planar base). Units: m, rad.
+            quaternion w, x, y, z), or 3 numbers (x, y and yaw of a planar base), m and rad.
         robot: robot with the planar base, or None.
     """
     if len(numbers) == len(PLANAR) and robot is not None:

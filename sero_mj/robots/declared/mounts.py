@@ -76,12 +76,9 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
-    """Returns the pose of a frame on which robots can be mounted.
+    """Returns the pose of the frame with a label such as `flange`, on which robots are mounted.
 
-    Args:
-        robot: robot to which the frame belongs.
-        label: name of the frame, for example `flange`.
-        frames: poses of the base and the links, shape (..., n + 1, 4, 4), m.
+    `frames` contains the poses of the base and the links, shape (..., n + 1, 4, 4), in m.
     """
     if label == "base":
         return frames[..., 0, :, :]
@@ -101,7 +98,6 @@ def base_frames(
     """Returns the base frames T_world_base of all robots by name, shape (..., 4, 4).
 
     Args:
-        robots: robots by name.
         joint_angles: joint values by robot, shape (..., n), rad or m (default: declared values).
         placed: base frames T_world_base that replace declared ones, by robot, shape (..., 4, 4).
     """

@@ -57,15 +57,8 @@ def read_scene_file(
 ) -> tuple[Scene, list[Problem]]:
     """Reads a scene file in any supported format, and logs losses of a conversion as warnings.
 
-    Args:
-        path: scene file.
-        overrides: values by dotted key, see `scene_from_tables`.
-
-    Returns:
-        the scene without its invalid parts, and all problems.
-
-    Raises:
-        DeclarationError: the file cannot be read.
+    Returns the scene without its invalid parts, and all problems. Raises DeclarationError if the
+    file cannot be read. `scene_from_tables` documents `overrides`.
     """
     imported = read_imported(path)
     if imported is None:

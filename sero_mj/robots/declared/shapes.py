@@ -52,12 +52,8 @@ def housing_radii(
 ) -> Array:
     """Returns the radii of the generated joint housings, shape (n,), m.
 
-    Args:
-        table: joint tree of the robot.
-        flange_frame: pose of the flange in the frame of its link, shape (4, 4), m.
-        strokes: maximum extensions of the joints, shape (n,), m. They determine the size of robots
-            without link lengths, such as gantries.
-        flange_link: index of the link with the flange.
+    `strokes` contains the maximum extensions of the joints, shape (n,), m. They determine the size
+    of robots without link lengths, such as gantries.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -75,11 +71,7 @@ def clear_radii(table: JointTree, radii: Array) -> Array:
     """Returns radii of rings about the joint axes that do not touch housings, shape (n,), m.
 
     The housings of intersecting axes, as in a shoulder or wrist, overlap. Their rings are larger
-    than the largest of these housings.
-
-    Args:
-        table: joint tree of the robot.
-        radii: radii of the housings, shape (n,), m.
+    than the largest of these housings. `radii` contains the radii of all housings, shape (n,), m.
     """
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:

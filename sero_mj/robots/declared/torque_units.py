@@ -35,12 +35,7 @@ NM, N = TorqueUnit(1.0, "Nm"), TorqueUnit(1.0, "N")
 
 
 def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[TorqueUnit]:
-    """Returns the display unit of each joint.
-
-    Args:
-        largest: largest torques or forces of the joints, shape (n,), Nm or N.
-        revolute: whether each joint is revolute, shape (n,).
-    """
+    """Returns the display units of n joints, given their largest torques (n,), in Nm or N."""
     turns = np.asarray(revolute, bool)
     known = np.where(np.isfinite(largest), largest, 0.0)
     of_turning = _prefixed(NM.name, float(known[turns].max(initial=0.0)))

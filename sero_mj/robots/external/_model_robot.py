@@ -79,7 +79,6 @@ class ModelPart(RobotPart):
     """The indices of a robot in an external model.
 
     Attributes:
-        tree: kinematic tree of the robot.
         size: reach of the robot, m.
         tool: label of the frame at the end of the chain, without the robot's name.
         labels: labels of the base and the n links.
@@ -122,9 +121,7 @@ def model_part(
     """Creates the declaration and indices of a robot that was found in an external model.
 
     Args:
-        model: external model.
         rest: state of the model in which sizes are measured.
-        tree: kinematic tree of the robot.
         overrides: fields that override measured values.
         start: row of the robot's first joint in the `JointTable`.
     """
@@ -219,15 +216,9 @@ def list_model_frames(
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
     """Returns the named frames of an external model, and the locations of their poses.
 
-    Args:
-        model: external model.
-        robots: robots by name. Their frames are named `robot/body`.
-        doubles: doubles by name. Their frames are named `double/body`.
-        wanted: names of additional bodies and sites whose frames are shown.
-
-    Returns:
-        frames by name, and pairs by name: the double from whose state the pose is read ("" for the
-        user's data), and the row in `xpos` followed by `site_xpos`.
+    Frames of robots and doubles are named `robot/body`. `wanted` contains names of additional
+    bodies and sites. A location is the name of the double from whose state the pose is read ("" for
+    the user's data), and the row in `xpos` followed by `site_xpos`.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}

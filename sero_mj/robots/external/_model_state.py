@@ -24,7 +24,6 @@ class ModelState:
     """The state of an external model with the additional fields that decor reads.
 
     Attributes:
-        data: data of the user.
         site_xpos: positions of joints, frames and fixed points, in this order, shape (S, 3), m.
         doubles: states by name of the double, for doubles with a pose. A path has several states.
     """

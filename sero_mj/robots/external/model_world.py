@@ -59,7 +59,6 @@ class ModelWorld(WorldView):
     """The world of an external model, on which an overlay draws arrows, axes and billboards.
 
     Args:
-        model: external model.
         data: data of the user, which is only read.
         robots: fields that override values of the model, by robot name.
         frames: names of bodies and sites whose axes are shown in addition to those of robots.

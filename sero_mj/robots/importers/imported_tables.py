@@ -17,7 +17,6 @@ class ImportedTables:
     """The tables of a TOML file that describe an imported robot or scene.
 
     Attributes:
-        tables: contents of the equivalent TOML file.
         lines: line numbers in the original file by dotted key of the tables. If a key is missing,
             the line of the closest enclosing key is reported. None for a TOML file, in which lines
             are searched for only if there is an error.

@@ -63,7 +63,6 @@ class Importer(ABC):
         """Reads a file as tables, in which file names are relative to the folder of the file.
 
         Args:
-            path: file to be read.
             packages: folders of ROS packages, by package name.
             arguments: values of the file's arguments by name, as in xacro.
 

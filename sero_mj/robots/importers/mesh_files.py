@@ -69,13 +69,7 @@ def mesh_endings() -> tuple[str, ...]:
 
 @dataclass(frozen=True, eq=False)
 class MeshPiece:
-    """The triangles of a mesh that have the same color, as the contents of a mesh file.
-
-    Attributes:
-        contents: contents of a file that MuJoCo can read.
-        ending: extension of the file format, for example `.stl`.
-        rgba: color, or None if the mesh file declares no color.
-    """
+    """The triangles of a mesh that have the same color, as the contents of a file for MuJoCo."""
 
     contents: bytes
     ending: str
@@ -359,10 +353,7 @@ def _rgba(values: Any, alpha: float = 1.0) -> Rgba | None:
 
 
 def _mean_color(image: Any) -> Rgba | None:
-    """Returns the mean color of the opaque pixels of an image, with the mean opacity of all pixels.
-
-    The image is a file or a Pillow image. Returns None if it is unreadable or fully transparent.
-    """
+    """Returns the mean color of the opaque pixels of an image, with the mean opacity of all."""
     from PIL import Image
 
     try:

@@ -82,10 +82,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
-    """Returns the contents of included files by name. Raises ValueError if the model is too large.
-
-    The size is the number of bodies, geoms and sites.
-    """
+    """Returns the contents of included files by name. Raises ValueError for too many elements."""
     found: dict[str, bytes] = {}
     waiting, count = [text], 0
     while waiting:

@@ -40,7 +40,6 @@ class MjcfTree:
     model has actuators, only the trees that they drive belong to the robot.
 
     Attributes:
-        model: compiled model.
         joints: ids of the robot's hinges and slides in depth-first order, shape (n,).
         parents: index of each joint's parent link, shape (n,), 0 for the base.
         links: index of each body's link, shape (nbody,), 0 for the base and -1 for bodies that do
@@ -184,17 +183,9 @@ def driven_roots(model: mujoco.MjModel) -> set[int]:
 def read_links(
     model: mujoco.MjModel, joints: Ints, base_body: int = 0, left_out: Collection[int] = ()
 ) -> tuple[Ints, Ints, Ints]:
-    """Assigns bodies and joints of a model to the links of a robot.
+    """Returns the link index of each body, the parent link of each joint, and the joint ids.
 
-    Args:
-        model: compiled model.
-        joints: ids of the joints of the robot.
-        base_body: id of the body that is the base.
-        left_out: ids of bodies that do not belong to the robot, nor do their descendants.
-
-    Returns:
-        link index of every body (-1 for bodies outside of the robot), parent link of every joint,
-        and ids of these joints.
+    Bodies in `left_out` and their descendants have link -1, and their joints are omitted.
     """
     links = np.full(model.nbody, -1, np.intp)
     links[base_body] = 0
@@ -320,10 +311,7 @@ def _forces(model: mujoco.MjModel) -> Array:
 
 
 def _unclamped_force(model: mujoco.MjModel, actuator: int) -> Array:
-    """Returns the range of an actuator's force, shape (2,), N or Nm, before it is clamped.
-
-    The force is gain * input + bias. The range is infinite if the force depends on the state.
-    """
+    """Returns the range of an actuator's force before clamping, shape (2,), possibly infinite."""
     unknown = np.array([-np.inf, np.inf])
     bias = int(model.actuator_biastype[actuator])
     offset, *slopes = model.actuator_biasprm[actuator, :3] if bias == _AFFINE_BIAS else (0.0,)

@@ -336,11 +336,10 @@ def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, A
 
 
 def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
-    """Returns the joints of a constraint, their factors, and why it is not a coupling.
+    """Returns the joints of a constraint, their factors (n,), and why it is not a coupling.
 
     The coupled joint comes first. The sum of factor times (q - qpos0) over all joints is the first
-    coefficient of the polynomial. The factors have the shape (n,). The reason is empty for a
-    coupling.
+    coefficient of the polynomial. The reason is empty for a coupling.
     """
     model = tree.model
     items = model.eq_obj1id[equality], model.eq_obj2id[equality]

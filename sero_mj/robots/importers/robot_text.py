@@ -29,10 +29,7 @@ def robot_text(
     """Returns the text of a robot file.
 
     Args:
-        described: result of importing the original file.
-        tables: tables of the robot.
         limbs: joint indices by limb name.
-        file: name of the original file, for a comment.
         bodies: names of the original links that form the base and each link.
         flange: comment about the flange.
     """
@@ -195,9 +192,7 @@ def frame_table(T: Any) -> dict[str, list[float]]:
 def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
     """Copies the meshes of a robot to the folder `meshes`, and returns tables that use them.
 
-    Args:
-        tables: tables of the robot.
-        copy: function that copies a mesh file; called with the file and its name in `meshes`.
+    `copy` is called with each mesh file and its name in this folder.
     """
     result = dict(tables)
     folder = Path(result.get("directory", ""))

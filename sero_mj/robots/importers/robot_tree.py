@@ -76,12 +76,9 @@ class Geometry:
 
 @dataclass
 class UrdfLink:
-    """A link with its geometry and inertia.
+    """A link with its geometry, mass, center of mass (3,), and inertia tensor (3, 3).
 
-    Attributes:
-        mass: mass, kg.
-        center: center of mass in the frame of the link, shape (3,), m.
-        tensor: inertia tensor about the center of mass, shape (3, 3), kg m2.
+    The tensor is about the center of mass. Units are kg, m and kg m2.
     """
 
     name: str
@@ -136,9 +133,6 @@ class TreeTables:
     """The tables of a robot file that describe a tree of links, built by the constructor.
 
     Attributes:
-        tables: tables of the robot file.
-        lines: line numbers in the original file by dotted key.
-        warnings: one sentence for each lost or changed element.
         bodies: names of the links of each body, base first.
         flange: name of the link at the flange.
         T_body_link: index of the body and pose in its frame (4, 4) for each link, by name. The
@@ -437,10 +431,7 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
 
 
 def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
-    """Returns the total mass, center of mass and inertia tensor of links in a common frame.
-
-    Each link comes with its pose in this frame. The tensor is about the common center of mass.
-    """
+    """Returns the total mass, center of mass and inertia tensor of links with poses (4, 4)."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))

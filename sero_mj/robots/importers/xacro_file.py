@@ -36,10 +36,7 @@ _LOCK = threading.Lock()
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
     """Expands a xacro file to XML text. Exceptions of xacro are not converted.
 
-    Args:
-        path: xacro file.
-        arguments: values of xacro arguments by name.
-        find: function that returns the folder of a ROS package, for `$(find NAME)`.
+    `find` is a function that returns the folder of a ROS package, for `$(find NAME)`.
     """
     output = io.StringIO()
     with _LOCK, _without_python(find), redirect_stderr(output), redirect_stdout(output):

@@ -61,16 +61,10 @@ class DhTable(JointTree):
         columns: tuple[str, ...] = COLUMNS,
         revolute: ArrayLike | None = None,
     ) -> DhTable:
-        """Builds a table from an array of rows.
+        """Builds a table from rows, shape (n, 4), rad and m. The default is revolute joints.
 
         Fig. 7 of the paper shows alpha first and d last, but not the order of the other two
-        columns. The default order is our interpretation.
-
-        Args:
-            rows: rows of the table, shape (n, 4), rad and m.
-            convention: convention of the table.
-            columns: order of the columns.
-            revolute: whether each joint is revolute, shape (n,) (default: all are).
+        columns. The default order of `columns` is our interpretation.
         """
         table = np.asarray(rows, dtype=np.float64).reshape(-1, 4)
         alpha, a, theta, d = (table[:, columns.index(name)].copy() for name in COLUMNS)

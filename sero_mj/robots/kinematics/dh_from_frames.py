@@ -37,7 +37,6 @@ class DhChain:
     """A Denavit-Hartenberg table and frames that together replace a chain of joint frames.
 
     Attributes:
-        convention: convention of the table.
         rows: alpha, a, theta and d of each joint, shape (n, 4), rad and m.
         base_frame: pose of frame 0 of the table in the base frame, shape (4, 4), m.
         flange_frame: pose of the flange in frame n of the table, shape (4, 4), m.
@@ -78,7 +77,6 @@ def dh_from_frames(
         revolute: whether each joint is revolute instead of prismatic, shape (n,).
         flange_frame: pose of the flange in the frame of the last joint, shape (4, 4), m (default:
             identity).
-        convention: convention of the table.
     """
     flange = np.eye(4) if flange_frame is None else flange_frame
     zero = np.zeros(len(joint_frames))

@@ -46,13 +46,9 @@ class JointTree(ABC):
 
     @abstractmethod
     def transforms(self, joint_values: Array) -> Array:
-        """Returns the pose of each link in its parent frame, without `root`.
+        """Returns poses of the links in their parent frames, shape (..., n, 4, 4), without `root`.
 
-        Args:
-            joint_values: joint values multiplied by `signs`, shape (..., n), rad or m.
-
-        Returns:
-            poses T_p(i),i, shape (..., n, 4, 4), m.
+        `joint_values` contains the joint values multiplied by `signs`, shape (..., n), rad or m.
         """
 
     @abstractmethod
@@ -61,11 +57,7 @@ class JointTree(ABC):
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns distances between the origins of each frame and its parent, shape (..., n), m.
-
-        Args:
-            extensions: values of prismatic joints, shape (..., n) or one number, m.
-        """
+        """Returns distances between the origins of each frame and its parent, shape (..., n), m."""
 
     @abstractmethod
     def mirrored(self) -> Self:
@@ -97,11 +89,7 @@ class JointTree(ABC):
         return moves
 
     def path_lengths(self, steps: Array) -> Array:
-        """Returns the path length from the base to each frame, shape (n + 1,), m.
-
-        Args:
-            steps: distance from each frame to its parent, shape (n,), m.
-        """
+        """Returns the sums of `steps` (n,) from the base to each frame, shape (n + 1,)."""
         return np.asarray(self.moves @ steps)
 
     @property
