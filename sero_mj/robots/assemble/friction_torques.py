@@ -32,10 +32,6 @@ def friction_of(robot: SerialRobot, velocities: Array) -> Array:
     Viscous friction is proportional to the velocity. Coulomb friction is constant, except below
     0.01 rad/s or m/s, where it is also proportional to the velocity, so that noise does not cause
     jumps. At rest, the true value may be anywhere between the two limits.
-
-    Args:
-        robot: robot with the declared friction.
-        velocities: joint velocities, shape (..., n), rad/s or m/s.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)

@@ -287,12 +287,9 @@ class JointTable:
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
     def note_largest(self, torques: Array, max_factor: float) -> None:
-        """Updates the largest torques so far of joints with `is_largest`.
+        """Updates `torque_limit` of joints with `is_largest` to larger torques, shape (N,).
 
-        Args:
-            torques: current torques, shape (N,), Nm or N.
-            max_factor: ratio to the largest torque so far above which a torque is implausible and
-                therefore ignored.
+        Torques above `max_factor` times the largest torque so far are implausible and ignored.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):

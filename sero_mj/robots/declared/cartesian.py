@@ -1,4 +1,4 @@
-"""Named frames, received frames, and arrows of Cartesian vectors (sections 2.4 and 2.5)."""
+"""Named frames, received frames and smart arrows (sections 2.4 and 2.5 of the paper)."""
 
 from __future__ import annotations
 

@@ -64,13 +64,10 @@ def link_name(k: int) -> str:
 
 
 def inertia_problem(tensor: Array) -> str | None:
-    """Returns the reason why an inertia tensor is invalid, or None if it is valid.
+    """Returns the reason why an inertia tensor (3, 3) about the center of mass is invalid, or None.
 
     The principal moments must be positive, and none may exceed the sum of the other two.
     Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
-
-    Args:
-        tensor: inertia tensor about the center of mass, shape (3, 3), kg m2.
     """
     low, middle, high = np.linalg.eigvalsh(tensor)
     found = f"found principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg m2"

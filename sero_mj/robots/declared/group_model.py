@@ -74,10 +74,8 @@ class Expanded:
 def expand_groups(tables: Mapping[str, Any], file: Path, maximum: Mapping[str, int]) -> Expanded:
     """Expands the groups of a scene that have a model.
 
-    Args:
-        tables: group tables by name.
-        file: scene file. Models are searched for in its folder and among the included models.
-        maximum: maximum numbers of `robots` and `groups`. Expansion stops soon after them.
+    Models are searched for in the folder of the scene file, and among the included models.
+    Expansion stops soon after the `maximum` numbers of `robots` and `groups`.
     """
     found = Expanded(maximum=maximum)
     for name, table in tables.items():

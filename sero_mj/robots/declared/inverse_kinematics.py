@@ -140,7 +140,6 @@ def _turn(rotation: Array) -> tuple[Array, float]:
 def _step(
     jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
 ) -> Array:
-    """Returns a joint step towards the goal that respects the position limits."""
     m, n = jacobian.shape
     low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
     free: Array = np.ones(n)

@@ -291,7 +291,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def reach(self) -> float:
-        """Distance between base and flange in m if all links were aligned.
+        """Distance between base and flange in m, with all links aligned.
 
         Prismatic joints with position limits are fully extended. For a branching robot, this is the
         distance of the farthest link.

@@ -77,11 +77,7 @@ class Posed(Declaration):
         return self
 
     def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
-        """Returns a problem if a robot with angles in degrees has prismatic joints.
-
-        Args:
-            types: joint types by robot name.
-        """
+        """Returns a problem if angles are in degrees and `types`, by robot, contain `prismatic`."""
         sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
@@ -158,10 +154,7 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Replaces the word "largest" in torque limits by None or inf.
-
-    Returns the limits and whether they contained the word.
-    """
+    """Replaces "largest" in torque limits by None or inf, and returns whether it occurred."""
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
     if isinstance(limits, list | tuple):

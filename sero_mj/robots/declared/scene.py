@@ -533,10 +533,7 @@ class Scene:
 
 
 def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
-    """Splits values of the (independent) joints of several robots into one array per robot.
-
-    Returns None if the number of values matches neither all joints nor the independent joints.
-    """
+    """Splits joint values of several robots by robot. Returns None if their number is wrong."""
     for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
         if sum(counts) == value.shape[-1]:
             return np.split(value, np.cumsum(counts)[:-1], axis=-1)

@@ -120,10 +120,8 @@ def model_part(
 ) -> ModelPart:
     """Creates the declaration and indices of a robot that was found in an external model.
 
-    Args:
-        rest: state of the model in which sizes are measured.
-        overrides: fields that override measured values.
-        start: row of the robot's first joint in the `JointTable`.
+    Sizes are measured in the state `rest`, and `overrides` contains fields that override them.
+    `start` is the row of the first joint in the `JointTable`.
     """
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []

@@ -160,9 +160,7 @@ class ModelDoubles:
     ) -> dict[str, list[mujoco.MjData]]:
         """Returns states of the model in the poses of its doubles, by name of the double.
 
-        Args:
-            data: state that determines the poses of all other bodies.
-            angles: joint angles by double, shape (n,), rad or m. Paths have their own angles.
+        `angles` contains the joint angles of doubles, shape (n,). Paths have their own angles.
         """
         poses = {}
         for name, part in self._doubles.items():

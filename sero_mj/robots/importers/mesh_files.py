@@ -419,10 +419,7 @@ def _joined(parts: list[_Part]) -> _Part:
 
 
 def _as_msh(part: _Part) -> bytes:
-    """Returns a mesh in MuJoCo's binary format MSH.
-
-    The format consists of four counts, vertices, normals, texture coordinates and faces.
-    """
+    # MuJoCo's binary format: four counts, vertices, normals, texture coordinates and faces.
     used, faces = np.unique(part.faces, return_inverse=True)
     normals = None if part.normals is None else part.normals[used]
     counts = struct.pack("<4i", len(used), 0 if normals is None else len(used), 0, len(part.faces))

@@ -366,10 +366,7 @@ def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
 
 
 def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float]:
-    """Returns the weights of joints in one side of a constraint, by joint id.
-
-    The result is empty for a spatial tendon.
-    """
+    """Returns the weights of joints in one side of a constraint, none for a spatial tendon."""
     if item < 0:
         return {}
     if model.eq_type[equality] == _OF_JOINTS:

@@ -129,10 +129,7 @@ def _normals(axes: Array) -> list[_Normal]:
 def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> _Normal:
     """Returns the common normal of axes A and B with directions z_a and z_b.
 
-    Args:
-        on_a: foot of the previous normal on A, shape (3,), m.
-        on_b: any point on B, shape (3,), m.
-        before: direction of the previous normal, shape (3,).
+    `on_a` is the foot of the previous normal, `before` is its direction, and `on_b` is on B.
     """
     across = np.cross(z_a, z_b)
     between = on_b - on_a
