@@ -185,8 +185,8 @@ def inputs_of_group(
     if items[0].shape == (4, 4):
         if len(items) > 1:
             names = ", ".join(having)
-            found = f"one frame cannot set {key} of several robots ({names})"
-            raise ValueError(f"{found}; expected a single robot")
+            message = f"one frame cannot set {key} of several robots ({names})"
+            raise ValueError(f"{message}; expected a single robot")
         return items
     if len(items) < len(members):
         lacking = ", ".join(name for name in members if name not in having)

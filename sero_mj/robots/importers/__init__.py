@@ -1,5 +1,5 @@
 """Imports robots and scenes from files of other formats, and reads mesh files.
 
-The input is a file of another format. The output, `ImportedTables`, contains the tables of an
-equivalent TOML file. Start with `importer.py`, and continue with `urdf.py` and `mjcf_robot.py`.
+In: a file of another format. Out: `ImportedTables`, the tables of an equivalent TOML file.
+Open first: `importer.py`, then the formats `urdf.py` and `mjcf_robot.py`.
 """
