@@ -99,8 +99,8 @@ def test_scene_declares_the_order_of_matrices() -> None:
         make_source("tracker", {**table, "column_major": 0})
 
 
-NOT_A_ROTATION = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
-TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major = "
+NOT_A_ROTATION = "the upper left 3 x 3 part is not a rotation (orthonormal, determinant +1)"
+TRANSPOSED = "the last row is [0.4, 0, 0.3, 1]; its transpose is a frame. Set column_major = "
 
 
 @pytest.mark.parametrize(
@@ -112,7 +112,7 @@ TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major 
         (
             False,
             changed(IDENTITY, m30=0.001),
-            "last row [0.001, 0, 0, 1]; its transpose is one: set column_major = true",
+            "the last row is [0.001, 0, 0, 1]; its transpose is a frame. Set column_major = true",
         ),
         (False, [0] * 16, "last row [0, 0, 0, 0]"),
         (False, changed(IDENTITY, m33=1.00001), "last row [0, 0, 0, 1.00001]"),
