@@ -114,14 +114,14 @@ TRANSPOSED = "the last row is [0.4, 0, 0.3, 1]; its transpose is a frame. Set co
             changed(IDENTITY, m30=0.001),
             "the last row is [0.001, 0, 0, 1]; its transpose is a frame. Set column_major = true",
         ),
-        (False, [0] * 16, "last row [0, 0, 0, 0]"),
-        (False, changed(IDENTITY, m33=1.00001), "last row [0, 0, 0, 1.00001]"),
-        (False, changed(IDENTITY, m30=0.4, m00=3), "last row [0.4, 0, 0, 1]"),
+        (False, [0] * 16, "the last row is [0, 0, 0, 0]"),
+        (False, changed(IDENTITY, m33=1.00001), "the last row is [0, 0, 0, 1.00001]"),
+        (False, changed(IDENTITY, m30=0.4, m00=3), "the last row is [0.4, 0, 0, 1]"),
         (False, changed(IDENTITY, m00=1.1), NOT_A_ROTATION),
         (False, changed(IDENTITY, m00=-1), NOT_A_ROTATION),
         (False, changed(IDENTITY, m01=1e300, m10=-1e300), NOT_A_ROTATION),
         (False, changed(IDENTITY, m22=0, m33=1), NOT_A_ROTATION),
-        (True, changed(BY_COLUMNS, m33=-1.7e308), "last row [0, 0, 0, -1.7e+308]"),
+        (True, changed(BY_COLUMNS, m33=-1.7e308), "the last row is [0, 0, 0, -1.7e+308]"),
     ],
 )
 def test_matrix_that_is_not_a_frame_is_counted_and_not_applied(

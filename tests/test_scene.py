@@ -262,8 +262,8 @@ WRONG = {
     ],
     f'{ARM}[robots . "my arm"]\n"dh_params" = [1]\ndh_convention = "craig"': [
         Problem("robots.my arm.name", found="my arm",
-                expected="a name of letters, digits, _ and - that begins with a letter or _", file="s.toml",
-                line=3),
+                expected="a name of letters, digits, _ and - that begins with a letter or _",
+                file="s.toml", line=3),
         Problem("robots.my arm.dh_params", "found 1; expected n x 4 numbers", file="s.toml",
                 line=4),
     ],

@@ -56,7 +56,7 @@ class Counters:
         not_finite: malformed packets with NaN or infinity where these are not allowed.
         not_frames: malformed packets with a matrix that is not a rigid frame.
         implausible: malformed packets with a number beyond its limit; see `Source.limit`.
-        foreign: packets from senders that `sender` does not list. They are not checked.
+        foreign: packets of unexpected senders, not listed in `sender`. They are not checked.
         late: packets that arrived after a packet with a higher sequence number. They are applied
             only if no packet may be lost.
         duplicates: packets with a repeated sequence number, which are not applied.

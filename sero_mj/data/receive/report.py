@@ -33,7 +33,9 @@ MEANINGS = {
 
 
 def report(source: Source) -> dict[str, Any]:
-    """Returns the state of a source as a dictionary with all fields of `Counters` and these keys:
+    """Returns the state of a source, as a dictionary.
+
+    The keys are the fields of `Counters`, and the following:
 
     - `source`, `about`: name and description of the source
     - `message`: kind of the messages of the source; empty for plain packets

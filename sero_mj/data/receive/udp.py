@@ -48,7 +48,7 @@ class UdpReceiver(Source):
         interface: name or address of the network interface of a multicast group; required for
             addresses that exist on every network (`ff02::1`, `fe80::1`).
         sender: addresses of accepted senders, with or without a port (`192.168.0.7:1234`,
-            `[fe80::1]:1234`); empty for any sender. Packets of others are counted as `foreign`.
+            `[fe80::1]:1234`); empty for any sender. Other packets are counted as `foreign`.
         buffer_size: size of the kernel's receive buffer in bytes; 0 for 4 MiB, or less if the
             system does not allow it.
     """
