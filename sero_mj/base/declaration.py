@@ -43,7 +43,6 @@ from .frames import Array, frame_from
 
 LARGEST = 1e9  # larger than any length, angle, torque or mass of a robot in SI units
 
-
 if TYPE_CHECKING:
 
     class _Model:

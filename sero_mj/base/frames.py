@@ -22,8 +22,6 @@ _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # Accepts rotations that are typed with four digits, such as 0.7071.
 _TYPED_ROTATION_TOLERANCE = 1e-3
 NOT_A_ROTATION = "the upper left 3 x 3 part is not a rotation (orthonormal, determinant +1)"
-
-
 # Reflects a frame T at the xz plane: MIRROR @ T @ MIRROR.
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 

@@ -23,10 +23,7 @@ _Call = Callable[[int, object, int, int], int]
 
 
 def block_path(name: str) -> str:
-    """Returns the name of a block for `shm_open`, such as `/robot` for `robot`.
-
-    Raises ValueError if the name is invalid.
-    """
+    """Returns the name of a block for `shm_open`: `/robot` for `robot`; raises ValueError."""
     bare = name.removeprefix("/")
     expected = "expected a name such as robot or /robot"
     if bare in ("", ".", ".."):

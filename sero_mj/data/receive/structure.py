@@ -13,11 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...base.errors import (
-    Problem,
-    UnknownName,
-    mismatch,
-)
+from ...base.errors import Problem, UnknownName, mismatch
 from ...base.frames import Array, Ints
 from .checksum import compute
 from .language import Item, limits, parse
@@ -35,8 +31,6 @@ LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
-
-
 _ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
 
 

@@ -171,10 +171,7 @@ class UdpReceiver(Source):
 
 
 def split_sender(text: str) -> tuple[str, int]:
-    """Splits a sender such as `192.168.0.7:1234` into address and port; raises ValueError.
-
-    If there is no port, it is 0.
-    """
+    """Splits `192.168.0.7:1234` into address and port (0 if missing); raises ValueError."""
     host, port = text, ""
     if text.startswith("["):
         host, _, port = text[1:].partition("]")

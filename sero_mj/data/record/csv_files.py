@@ -21,7 +21,6 @@ if TYPE_CHECKING:
 
     from .recording import PacketFile
 
-
 # Events with one number per joint, whose columns can be named after the joints.
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 TIME = "time"

@@ -140,7 +140,6 @@ class Recorder(PacketWorker):
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Adds a file to the recording; see `RecordingWriter.attach`."""
         with self._writing:
             self._writer.attach(name, media_type, data)
 

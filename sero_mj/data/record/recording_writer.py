@@ -58,7 +58,6 @@ _WHY = {
 
 
 def pack_record(record: McapRecord) -> bytes:
-    """Serializes a record."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

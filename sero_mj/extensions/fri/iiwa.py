@@ -329,12 +329,10 @@ def framed(message: bytes) -> bytes:
 
 
 def integer_field(number: int, value: int) -> bytes:
-    """Returns an integer field."""
     return bytes((number << 3,)) + _encoded(value)
 
 
 def float_field(number: int, value: float) -> bytes:
-    """Returns a float64 field."""
     return bytes((number << 3 | 1,)) + _DOUBLE.pack(value)
 
 

@@ -126,11 +126,7 @@ class Client:
 
     def receive(self, wake: socket.socket) -> None:
         """Connects, and receives until the connection ends; raises Disconnected or Closing."""
-        from websockets.exceptions import (
-            ConnectionClosed,
-            InvalidMessage,
-            WebSocketException,
-        )
+        from websockets.exceptions import ConnectionClosed, InvalidMessage, WebSocketException
 
         url = self._source.url
         try:

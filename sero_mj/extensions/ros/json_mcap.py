@@ -96,7 +96,6 @@ class JsonMcap:
         return found
 
     def close(self) -> None:
-        """Closes the file. Has no effect if the file is closed."""
         if self.stack is not None:
             self.stack.close()
         self.stack = None
