@@ -58,6 +58,7 @@ _WHY = {
 
 
 def pack_record(record: McapRecord) -> bytes:
+    """Encodes an MCAP record as bytes."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())

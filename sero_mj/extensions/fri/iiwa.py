@@ -329,21 +329,23 @@ def framed(message: bytes) -> bytes:
 
 
 def integer_field(number: int, value: int) -> bytes:
+    """Encodes an integer field of a message."""
     return bytes((number << 3,)) + _encoded(value)
 
 
 def float_field(number: int, value: float) -> bytes:
+    """Encodes a float64 field of a message."""
     return bytes((number << 3 | 1,)) + _DOUBLE.pack(value)
 
 
 def message_field(number: int, *fields: bytes) -> bytes:
-    """Returns a field with a message that contains these fields."""
+    """Encodes a field whose value is a message with the given fields."""
     message = b"".join(fields)
     return bytes((number << 3 | 2,)) + _encoded(len(message)) + message
 
 
 def joints_field(number: int, values: Array) -> bytes:
-    """Returns a field with a message that contains a list of one value per joint."""
+    """Encodes a field whose value is a message with a list of one value per joint."""
     return message_field(
         number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value)))
     )
