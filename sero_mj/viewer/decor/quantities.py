@@ -88,7 +88,7 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
     return [
         f"{joints.names[i]}: {torque_text(world, i, torques[i])} is "
         + (
-            f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)}; not drawn"
+            f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)} and is not drawn"
             if share[i] > IMPLAUSIBLE_FACTOR
             else f"{share[i]:.0f} times {_limit_name(world, i)}"
         )

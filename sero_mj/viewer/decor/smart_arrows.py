@@ -25,7 +25,7 @@ from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, because their direction is noise
-# Reference direction of `frames_along`. It is not close to an axis, because many forces are.
+# Reference direction of `frames_along`. It is not close to any axis, along which many forces act.
 _FROM = np.array([0.36, 0.48, 0.80])
 # Rotation whose z axis is `_FROM`.
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])

@@ -48,17 +48,17 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
             expected = f"{bytes_}, expected {state.size:.0f}"
             lines.append(f"  invalid {message}, {bytes_}" if message else f"  {expected}")
         if state.not_frames:
-            lines.append("  a matrix that is not a frame")
+            lines.append("  a received matrix is not a frame")
         if state.wrong_constant:
             lines.append("  wrong constant: another kind of packet")
         if state.wrong_checksum:
             lines.append("  wrong checksum: corrupted packet")
         if state.implausible:
-            lines.append("  implausible values")
+            lines.append("  some values are implausible")
         explained = state.wrong_size + state.not_frames + state.wrong_constant
         explained += state.wrong_checksum + state.implausible
         if state.malformed > explained:
-            lines.append("  NaN or infinity")
+            lines.append("  some values are NaN or infinite")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and handles clicks on it."""
+"""`SceneDecor`: adds visual features to an `MjvScene`, and handles clicks on them."""
 
 from __future__ import annotations
 
@@ -24,16 +24,18 @@ log = logging.getLogger(__name__)
 
 
 class SceneDecor:
-    """The decor of a world in a window, page or image.
+    """The visual features of a world in a window, page or image.
 
     Args:
-        toggles: switches of the shown features (default: the scene's switches).
-        with_text: whether panels and labels are added to scenes. Otherwise the caller draws
+        toggles: switches of the visual features (default: the switches that the scene declares).
+        capacity: maximum number of geoms of a frame.
+        arrow_geoms: maximum number of geoms of a round arrow.
+        with_text: whether panels and labels are added to scenes. Otherwise, the caller draws
             `panels`.
 
     Attributes:
         view: view of the last frame; None before the first frame.
-        dropped: number of geoms of the last frame that exceeded the scene's capacity.
+        dropped: number of geoms of the last frame that exceeded the capacity of the scene.
     """
 
     def __init__(
@@ -61,7 +63,7 @@ class SceneDecor:
 
     @property
     def fixed(self) -> str:
-        """Message if the camera cannot be moved; empty if it can."""
+        """Reason why the user cannot move the camera; empty if the user can move it."""
         return ""
 
     @property
@@ -76,7 +78,7 @@ class SceneDecor:
         self._decor.draw(data, self.toggles, view)
 
     def draw(self, data: mujoco.MjData, view: ImageView, scene: mujoco.MjvScene) -> int:
-        """Lays out one frame and adds it to a scene filled by MuJoCo."""
+        """Adds one frame to a scene filled by MuJoCo, and returns the number of dropped geoms."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
@@ -85,21 +87,23 @@ class SceneDecor:
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "%d decor geoms are not drawn: the scene's capacity is %d",
+                "%d geoms of arrows, axes or panels are not drawn: the scene can contain only %d",
                 self.dropped,
                 scene.maxgeom,
             )
         return self.dropped
 
     def from_above(self, x: float, y: float) -> Pixel:
-        """Returns the center of a pixel, y up, for a pixel counted from the upper left corner."""
+        """Converts a pixel from coordinates with y down, as in image files, to y up."""
         assert self.view is not None
         return x + 0.5, self.view.height - y - 0.5
 
     def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
         """Returns the item at a pixel of the last frame, or None.
 
-        The pixel is counted from the lower left corner, x to the right and y up.
+        Args:
+            pixel: pixel counted from the lower left corner, x to the right and y up.
+            tolerance: maximum distance from visual features if none is hit exactly, pixels.
         """
         if self.view is None:
             return None
