@@ -74,7 +74,7 @@ class StereoOptions(Options):
     """Images for two eyes.
 
     Attributes:
-        stereo: side-by-side has one half of the image for each eye; anaglyph is for red-cyan glasses.
+        stereo: side-by-side has half of the image for each eye; anaglyph is for red-cyan glasses.
         eye_distance: distance between the eyes, m; larger values exaggerate depth.
     """
 

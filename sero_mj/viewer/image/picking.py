@@ -57,8 +57,8 @@ class Picked:
             `table`.
         owner: name of the robot or double that the item belongs to; empty for other items.
         index: index of the joint for links, doubles, arrows and billboards, of the frame for axes
-            and names, of the smart arrow for vectors and cards, or of the robot for checks; -1 for
-            objects and paths.
+            and names, of the smart arrow for vectors and their billboards, or of the robot for
+            checks; -1 for objects and paths.
         distance: distance from the camera, m.
         own_name: name of a link in the file of its robot. For other items, it equals `name`.
     """

@@ -35,7 +35,7 @@ class SceneRenderer(Protocol):
     scene: mujoco.MjvScene
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Called before each frame with the state, which determines the shapes of skins and flexes."""
+        """Called before each frame with the state, which has the shapes of skins and flexes."""
 
     def render(self, out: Pixels | None = None) -> Pixels: ...
 
@@ -50,7 +50,6 @@ class Renderer(ABC):
         is_for_fine: whether this renderer is the default for images of quality `fine`.
         packages: names of the Debian and Ubuntu packages that this renderer needs.
     """
-
 
     title: ClassVar[str]
     is_for_fine: ClassVar[bool] = False
