@@ -57,7 +57,6 @@ class BillboardGroup:
     Attributes:
         items: indices of the joints, arrows or robots that the billboards describe, shape (k,).
         anchors: pixels at which the leaders of the billboards end, shape (k, 2).
-        sizes: widths and heights of the billboards, shape (k, 2), pixels.
         texts: lines of each billboard, top line first.
         owners: indices of the robots or doubles in `WorldView.owners`, shape (k,); -1 for none.
         side: side of each billboard, `LEFT` or `RIGHT`, shape (k,). If there are several robots,

@@ -33,12 +33,7 @@ _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
 class Decor:
-    """All visual features of a world, and the buffer into which they draw each frame.
-
-    Args:
-        capacity: maximum number of geoms of a frame.
-        arrow_geoms: maximum number of geoms of a round arrow.
-    """
+    """All visual features of a world, and the buffer into which they draw each frame."""
 
     def __init__(
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS

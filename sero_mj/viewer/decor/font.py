@@ -195,11 +195,7 @@ class ValueColumns:
 
 
 def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
-    """Returns columns that align the numbers of the lines of a panel.
-
-    Args:
-        width: function that returns the width of a text in pixels.
-    """
+    """Returns columns that align the numbers in the lines of a panel."""
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
     values = [row for row in rows if isinstance(row, ValueLine)]
     names = max((width(row.name) for row in values), default=0.0)

@@ -136,8 +136,6 @@ def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Arr
     Args:
         rows: rows from `GeomBuffer.take`, shape (...).
         origin: first corner of each triangle, shape (3, ...), m.
-        second: second corner of each triangle, shape (3, ...), m.
-        third: third corner of each triangle, shape (3, ...), m.
     """
     x, y = second - origin, third - origin
     rows["size"][..., 0] = _normalise(x)

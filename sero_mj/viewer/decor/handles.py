@@ -69,12 +69,7 @@ def ring_radius(point: Array, view: ImageView) -> float:
 
 
 def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: ImageView) -> None:
-    """Draws the handles of a frame.
-
-    Args:
-        pose: T_world_frame, shape (4, 4), m.
-        lit: index of the highlighted handle in `HANDLE_NAMES`; -1 for none.
-    """
+    """Draws the handles of a frame with the pose T_world_frame, shape (4, 4), m."""
     origin, rotation = pose[:3, 3], pose[:3, :3]
     unit = handle_length(origin, view)
     rgb = np.array([*AXIS_RGB, *AXIS_RGB, _CUBE_RGB])
@@ -114,7 +109,6 @@ def fill_ring(
 
     Args:
         rows: geoms of the boxes, shape (SEGMENTS,).
-        centre: center of the ring, shape (3,), m.
         axes: rotation whose third column is the axis of the ring, shape (3, 3).
         radius: radius of the ring, m.
         half_width: half width of the ring, m.

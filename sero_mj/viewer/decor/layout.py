@@ -39,8 +39,6 @@ def columns(
         side: side of each panel, `LEFT` or `RIGHT`, shape (k,).
         gap: desired space between panels, pixels.
         beside: space between the robots and the innermost columns, pixels.
-        width: width of the image, pixels.
-        height: height of the image, pixels.
         span: left and right limit of the robots, pixels (default: the limits of the anchors).
         kept_free: rectangles of the corner panels, which other panels must not cover, shape (c, 4),
             pixels. The columns are left, bottom, right and top.
@@ -281,8 +279,6 @@ def place_clear(
     """Moves rectangles, one after the other, to the closest positions without overlap.
 
     Args:
-        centres: desired centers of the rectangles, shape (k, 2), pixels.
-        sizes: widths and heights of the rectangles, shape (k, 2), pixels.
         taken: fixed rectangles, shape (m, 4), pixels. The columns are left, bottom, right and top.
         low: lower left pixel of the available area, shape (2,).
         high: upper right pixel of the available area, shape (2,).
@@ -317,13 +313,10 @@ def place_clear(
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
-    """Assigns starts to ends of straight leaders so that leaders do not cross.
+    """Returns the index of the start for each end, so that straight leaders do not cross.
 
     Two crossing leaders swap their starts. This reduces their total length, so the loop terminates.
     Leaders do not swap if the reduction is smaller than `least_gain` in pixels.
-
-    Returns:
-        index of the start for each end, shape (k,).
     """
     index = np.arange(len(starts))
     for _ in range(len(index) ** 2):
@@ -347,10 +340,6 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
     to its joint. Leaders of farther panels are farther from the edge, so that leaders do not cross.
 
     Args:
-        starts: starts of the leaders at their panels, shape (k, 2), pixels.
-        ends: ends of the leaders at the joints, shape (k, 2), pixels.
-        centres: centers of the panels, shape (k, 2), pixels.
-        sizes: widths and heights of the panels, shape (k, 2), pixels.
         lane: distance between leaders beside a column, pixels.
 
     Returns:

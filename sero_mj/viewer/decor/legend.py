@@ -54,12 +54,7 @@ _BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # fractions of the line height
 
 
 def arrows_line(quantity: str, has_sliding: bool) -> str:
-    """Returns the line of the legend that names the quantity of round arrows.
-
-    Args:
-        quantity: one of `ARROW_QUANTITIES`.
-        has_sliding: whether some of the joints are prismatic.
-    """
+    """Returns the line of the legend that names the quantity of round arrows."""
     return _arrows_line(quantity, _WORDS[quantity][0], has_sliding)
 
 

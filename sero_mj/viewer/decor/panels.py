@@ -46,11 +46,8 @@ class Panels:
     """A set of k panels with text, positioned in pixels.
 
     Attributes:
-        centres: centers of the panels, shape (k, 2), pixels.
-        sizes: widths and heights of the panels, shape (k, 2), pixels.
         texts: lines of each panel, top line first.
         rgba: one color for all panels, or one color for each, shape (k, 4).
-        kind: kind of the items that the panels describe.
         items: index of the item that each panel describes, shape (k,).
         in_front: whether the panels cover other panels. Covered text is not drawn.
         has_values: whether the lines contain values, which may be aligned in columns.
@@ -91,14 +88,9 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns name labels below the visible points, and the indices of these points.
+    """Returns name labels below the visible points of `places`, shape (k, 3), and their indices.
 
-    Args:
-        places: points in world coordinates, shape (k, 3), m.
-        names: text of the label of each point.
-
-    Returns:
-        labels and indices; None if no point is visible.
+    Returns None if no point is visible.
     """
     pixels, depth = view.project(places)
     visible = view.sees(pixels, depth).nonzero()[0]

@@ -67,11 +67,7 @@ def torque_and_unit(world: WorldView, joint: int) -> tuple[str, TorqueUnit]:
 
 
 def torque_text(world: WorldView, joint: int, value: float) -> str:
-    """Returns the text of a torque or force with three digits and the unit of the joint.
-
-    Args:
-        value: torque, Nm, or force of a prismatic joint, N.
-    """
+    """Returns the text of a torque in Nm, or force in N, with the unit of the joint."""
     factor, unit = world.joints.torque_units[joint]
     return f"{factor * value:.3g} {unit}"
 
@@ -102,7 +98,6 @@ def arrow_values(
     """Returns the values that the arrows of joints show, and the limits for full arrow width.
 
     Args:
-        values: result of `joint_values`.
         quantity: quantity that each arrow shows, as an index of `ARROW_QUANTITIES`, shape (N,).
 
     Returns:

@@ -74,14 +74,9 @@ def arrow_widths(
 
 
 def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.float64]:
-    """Returns the drawn widths of the arrows of all joints, with 0 for arrows that are not drawn.
+    """Returns the drawn widths of the arrows of all joints, shape (N,), m.
 
-    Args:
-        values: values that the arrows show, shape (N,).
-        limit: values at which arrows have full width, shape (N,); inf if there is no limit.
-
-    Returns:
-        widths, shape (N,), m.
+    The width of arrows that are not drawn is 0. `values` and `limit` are as in `arrow_widths`.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)

@@ -175,11 +175,7 @@ class Status(Feature):
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: ImageView, more: Sequence[str] = ()
     ) -> Panels | None:
-        """Returns the error panel of the upper left corner, or None if there are no errors.
-
-        Args:
-            more: lines about other errors, which are shown first.
-        """
+        """Returns the panel with the errors of sources and the lines `more`, or None if empty."""
         lines = [*more[:_MAX_MORE]]
         for name, slot in self._slots:
             state, source = SourceState(*data.userdata[slot]), self._sources.get(name)

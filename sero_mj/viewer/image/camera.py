@@ -102,10 +102,6 @@ class Navigator:
         """Moves the initial view so that the robots are visible in all poses, as `Framing.hold`.
 
         The view does not change if the camera follows a robot or if there are no poses.
-
-        Args:
-            poses: states of the world.
-            size: width and height of the image, pixels.
         """
         if self.following is not None or (first := next(poses, None)) is None:
             return
@@ -137,13 +133,9 @@ class Navigator:
         )
 
     def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
-        """Moves the camera parallel to the image, so that the look-at point follows the pointer.
+        """Moves the camera parallel to the image, so that points at a depth follow the pointer.
 
-        Args:
-            right: motion of the pointer to the right, in window heights.
-            down: downward motion of the pointer, in window heights.
-            tan_half_fovy: tangent of half the vertical field of view.
-            depth: depth of the points that follow the pointer, m.
+        `tan_half_fovy` is the tangent of half the vertical field of view.
         """
         camera = self.camera
         _, to_right, to_up = axes(camera.azimuth, camera.elevation)
@@ -156,12 +148,7 @@ class Navigator:
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
     def free(self, position: Array, forward: Array) -> None:
-        """Replaces a fixed camera of the scene with a free camera in the same pose.
-
-        Args:
-            position: position of the fixed camera, shape (3,), m.
-            forward: unit vector in its viewing direction, shape (3,).
-        """
+        """Replaces a fixed camera of the scene with a free camera in the same pose."""
         if self.camera.type == _FREE:
             return
         self.camera.type = _FREE
@@ -171,10 +158,7 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Selects a camera by its number and returns a message.
-
-        Numbers of cameras start at 1. Number 0 selects the initial view.
-        """
+        """Selects a camera by its number from 1 on, or the initial view by 0; returns a message."""
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
@@ -196,10 +180,8 @@ class Navigator:
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
         """Starts or stops following a robot, group or frame, and returns a message.
 
-        The camera stops following if `frame` is None or is already followed.
-
-        Raises:
-            UnknownName: there is no robot, group or frame with this name.
+        The camera stops following if `frame` is None or is already followed. Raises UnknownName if
+        there is no robot, group or frame with this name.
         """
         if frame is None or frame == self.following:
             self.following = None
@@ -294,11 +276,7 @@ class Follower:
         return np.asarray(self._world.state(data).xpos[self._roots].mean(axis=0))
 
     def displacement(self, data: mujoco.MjData, now: float | None = None) -> Array:
-        """Returns the displacement of the camera since the last call, shape (3,), m.
-
-        Args:
-            now: current time in seconds (default: the time of the data).
-        """
+        """Returns the displacement of the camera since the last call, shape (3,), m."""
         position, now = self._position(data), float(data.time) if now is None else now
         if not np.isfinite(position).all():
             return np.zeros(3)

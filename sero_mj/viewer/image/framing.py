@@ -133,8 +133,6 @@ class Framing:
         if all other parts are in the image, or if the user has placed the camera.
 
         Args:
-            poses: states of the world.
-            size: width and height of the image, pixels.
             turns: azimuths of the camera relative to the current azimuth, degrees.
         """
         if self._is_wanted or camera.type != _FREE or _pose(camera) != self._placed:
@@ -228,11 +226,7 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns the factor of the distance of a free camera, which is above 1 for narrow images.
-
-    Args:
-        needed: aspect ratio from `needed_aspect`.
-    """
+    """Returns the factor of the distance of a free camera, which is above 1 for narrow images."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 

@@ -1,14 +1,10 @@
 """Segmentation images, which show the part at each pixel, and depth images.
 
-Both are rendered without arrows and billboards, and without multisampling, so that a pixel at an
-edge belongs to exactly one part.
-
-- A segmentation image in a .png file is a palette image whose indices are part numbers, as in
-  PASCAL VOC. With more than 256 parts, it is a 16-bit grayscale image. A .npy file contains int32
-  values. NAME.parts.json lists the names of the parts.
-- A depth image in a .png file is a 16-bit grayscale image in mm, with 0 for the sky and for depths
-  above 65.535 m, as in ROS (REP 118). A .npy file contains float32 values in m, with inf for the
-  sky.
+Arrows and billboards are not rendered. Without multisampling, each pixel belongs to one part.
+A segmentation .png file is a palette image whose indices are part numbers, as in PASCAL VOC, or a
+16-bit grayscale image if there are more than 256 parts. A .npy file contains int32 values. A depth
+.png file is a 16-bit grayscale image in mm, with 0 for the sky and for depths above 65.535 m, as in
+ROS (REP 118). A .npy file contains float32 values in m, with inf for the sky.
 """
 
 from __future__ import annotations
@@ -75,14 +71,7 @@ class Parts:
         return self._numbers.setdefault(name, len(self._numbers))
 
     def of(self, geom: mujoco.MjvGeom, double: str | None = None) -> int | None:
-        """Returns the number of the part that a geom of an `MjvScene` belongs to.
-
-        Args:
-            double: name of the double that the geom belongs to if it is not in the model.
-
-        Returns:
-            part number; None for arrows, billboards and other visual features.
-        """
+        """Returns the number of the part that a geom of an `MjvScene` belongs to, or None."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
         if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # the floor of `AddedSurroundings`
@@ -177,10 +166,6 @@ def palette(count: int) -> Pixels:
 def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
     """Writes a segmentation image to a .png or .npy file, and NAME.parts.json to the same folder.
 
-    Args:
-        parts: part number at each pixel, shape (height, width).
-        names: names of the parts, indexed by part number.
-
     Returns:
         path of the JSON file, which lists all `parts`. Each part has `id`, `name`, `colour` (red,
         green and blue; null without a palette) and `pixels` (the number of its pixels).
@@ -214,10 +199,7 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
 
 
 def save_depth(path: Path, depth: Array) -> None:
-    """Writes a depth image to a .png or .npy file.
-
-    Args:
-        depth: depth of each pixel, shape (height, width), m; inf for the sky.
+    """Writes a depth image in m, with inf for the sky, to a .png or .npy file.
 
     Raises:
         RenderError: the file cannot be written, or the extension is neither .png nor .npy.

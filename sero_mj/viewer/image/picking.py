@@ -1,8 +1,7 @@
 """Finds the item at a pixel of windows, pages and images.
 
-Robots, doubles and objects are found by `mj_ray`. Visual features (decor) such as arrows, axes and
-billboards are found by the intersection of a ray with their geoms. The item closest to the camera
-is returned.
+Robots, doubles and objects are found by `mj_ray`, and visual features by the intersection of a ray
+with their geoms. The item closest to the camera is returned.
 """
 
 from __future__ import annotations
@@ -143,11 +142,7 @@ def link_at(
 def handle_at(
     buffer: GeomBuffer, view: ImageView, pixel: Pixel, tolerance: float = 0.0
 ) -> int | None:
-    """Returns the index in `HANDLE_NAMES` of the handle at a pixel, or None.
-
-    Args:
-        tolerance: maximum distance from a handle if none is hit exactly, pixels.
-    """
+    """Returns the index in `HANDLE_NAMES` of the handle at a pixel, or None."""
     handles = buffer.kinds[: buffer.count] == Kind.HANDLE
     if not handles.any():
         return None
@@ -177,10 +172,7 @@ def _pick_decor(
 
 
 def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
-    """Returns the item of a visual feature with a kind and an index.
-
-    Args:
-        distance: distance from the camera, m.
+    """Returns the item with a kind, an index, and a distance from the camera in m.
 
     Raises:
         ValueError: there is no such item.
@@ -250,13 +242,6 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
     """Returns the distances along a ray to k boxes, shape (k,), m, with inf for boxes not hit.
 
-    Args:
-        origin: start of the ray, shape (3,), m.
-        direction: unit vector along the ray, shape (3,).
-        centre: centers of the boxes, shape (k, 3), m.
-        mat: orientations of the boxes, shape (k, 3, 3).
-        half: half side lengths of the boxes, shape (k, 3), m.
-
     Source: slab method (Kay and Kajiya, Ray Tracing Complex Scenes, 1986).
     """
     start = np.einsum("kij,ki->kj", mat, origin - centre)
@@ -274,12 +259,7 @@ def ray_triangles(
 ) -> Array:
     """Returns the distances along a ray to k triangles, shape (k,), m, with inf for those not hit.
 
-    Triangles are hit from both sides.
-
-    Args:
-        corner: first corner of each triangle, shape (k, 3), m.
-        edges: vectors from the first to the other corners, shape (k, 3, 2), m.
-        margin: maximum distance of the ray from each triangle, shape (k,), m.
+    Triangles are hit from both sides, and by rays within a distance of `margin`, shape (k,), m.
 
     Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of
     Graphics Tools 2(1), 1997.
@@ -314,8 +294,6 @@ def ray_arrow(
     """Returns the distance along a ray to an arrow geom in m, or inf if the ray misses the arrow.
 
     Args:
-        start: start of the arrow, shape (3,), m.
-        mat: orientation of the arrow, which points along z, shape (3, 3).
         size: size as in `MjvGeom`: two radii of the shaft, and the length times
             `ARROW_SIZE_OF_LENGTH`, m.
         margin: increase of radius and length, m.

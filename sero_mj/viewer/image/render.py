@@ -84,10 +84,6 @@ def offscreen_size(
     """Sets the offscreen buffer size of the OpenGL contexts that the `with` block creates.
 
     MuJoCo reads the size from the model, which is changed temporarily.
-
-    Args:
-        samples: number of samples per pixel (default: the number in the model).
-        is_draft: whether anti-aliasing and shadows are switched off.
     """
     size, quality = model.vis.global_, model.vis.quality
     before = size.offwidth, size.offheight, quality.offsamples, quality.shadowsize
@@ -112,8 +108,6 @@ class HeadlessRenderer(Painter):
     """A renderer that draws a world into arrays, without a window.
 
     Args:
-        width: width of the images, pixels.
-        height: height of the images, pixels.
         camera: name or pose of the camera, as in `find_camera` (default: the view of the scene).
         quality: `draft` for speed with software OpenGL, `normal`, or `fine` for print.
         stereo: `side-by-side` for one half of the image for each eye, or `anaglyph` for red-cyan
@@ -197,11 +191,7 @@ class HeadlessRenderer(Painter):
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
-        """Renders one frame and returns the image, shape (height, width, 3), uint8.
-
-        Args:
-            out: array for the image (default: a new array).
-        """
+        """Renders one frame into an array `out`, (height, width, 3), uint8, or into a new array."""
         self.decor.draw(data, self._look(data), self._renderer.scene)
         self._renderer.follow(data)
         text = self._typesetter.place(self.decor.panels)
@@ -281,10 +271,6 @@ class HeadlessRenderer(Painter):
         """Renders one frame with motion blur, as the mean of its subframes.
 
         The text of the first subframe is used, so that it stays sharp. Stereo is not supported.
-
-        Args:
-            subframes: states of the world at equal intervals of the exposure.
-            out: array for the image (default: a new array).
         """
         exposure, text, scene = Exposure(), None, self._renderer.scene
         for data in subframes:

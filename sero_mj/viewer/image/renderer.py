@@ -78,9 +78,6 @@ def choose_renderer(wanted: str | None, quality: Quality, width: int, height: in
     Args:
         wanted: requested name (default: a renderer for the quality). If this renderer is not
             available, a warning is logged, and the classic renderer is used.
-        quality: quality of the image.
-        width: width of the image, pixels.
-        height: height of the image, pixels.
 
     Raises:
         RenderError: no renderer has the requested name.

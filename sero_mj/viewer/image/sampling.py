@@ -40,11 +40,6 @@ def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -
     """Yields the state of a mirror at the time of each frame of a video.
 
     A thread samples live sources, so that the consumer may be slower than the frame rate.
-
-    Args:
-        count: number of frames.
-        fps: frames per second.
-        begin: time of the first frame in seconds, unless sources are live.
     """
     if not mirror.is_live:
         for k in range(count):

@@ -28,8 +28,6 @@ class SceneDecor:
 
     Args:
         toggles: switches of the visual features (default: the switches that the scene declares).
-        capacity: maximum number of geoms of a frame.
-        arrow_geoms: maximum number of geoms of a round arrow.
         with_text: whether panels and labels are added to scenes. Otherwise, the caller draws
             `panels`.
 
@@ -87,7 +85,7 @@ class SceneDecor:
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "%d geoms of arrows, axes or panels are not drawn: the scene can contain only %d",
+                "%d geoms of arrows, axes or panels are not drawn: the scene has room for %d geoms",
                 self.dropped,
                 scene.maxgeom,
             )
@@ -101,9 +99,7 @@ class SceneDecor:
     def pick(self, data: mujoco.MjData, pixel: Pixel, tolerance: float = 0.0) -> Picked | None:
         """Returns the item at a pixel of the last frame, or None.
 
-        Args:
-            pixel: pixel counted from the lower left corner, x to the right and y up.
-            tolerance: maximum distance from visual features if none is hit exactly, pixels.
+        The pixel is counted from the lower left corner, x to the right and y up.
         """
         if self.view is None:
             return None

@@ -48,11 +48,9 @@ class PlacedText:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanel:
-    """A rendered panel with its position in an image.
+    """A rendered panel with its position in an image, pixels.
 
     Attributes:
-        left: distance from the left edge of the image, pixels.
-        bottom: distance from the bottom edge of the image, pixels.
         pixels: premultiplied RGBA values, shape (height, width, 4), top row first.
     """
 
@@ -62,11 +60,7 @@ class PlacedPanel:
 
 
 class Typesetter:
-    """A renderer of panels with text.
-
-    Args:
-        line: line height, pixels.
-    """
+    """A renderer of panels with text, for lines with a height of `line` pixels."""
 
     def __init__(self, line: int) -> None:
         size = _EM * line

@@ -64,14 +64,7 @@ def video_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Yields the rendered image of each frame of a video, always in the same array.
-
-    Args:
-        count: number of frames.
-        fps: frames per second.
-        on_first: function that is called with the state of the first frame before rendering.
-        on_state: function that is called with each state before rendering.
-    """
+    """Yields the rendered image of each frame of a video, always in the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:

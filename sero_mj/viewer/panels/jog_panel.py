@@ -26,7 +26,6 @@ def build_each(
 
     Args:
         verb: first word of the section titles.
-        names: names of the robots.
         build: function that builds the contents for a robot name.
     """
     are_many = len(names) > _MAX_SECTIONS
@@ -136,12 +135,7 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
 
 
 class JogPanel:
-    """The panel for robots that the user moves.
-
-    Args:
-        goals: pose that the user sets for each robot.
-        base: function that returns T_world_base of a robot, shape (4, 4), m.
-    """
+    """The panel for robots that the user moves."""
 
     def __init__(
         self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]

@@ -27,11 +27,7 @@ _MIN_HEIGHT = 8.0  # minimum height of a plot; if there is not enough space, the
 
 
 class SignalPlots:
-    """Plots of signals over time, with drop-down lists that add and remove signals.
-
-    Attributes:
-        shown: signals in each plot.
-    """
+    """Plots of signals over time, with drop-down lists that add and remove signals."""
 
     def __init__(self, signals: PlotSignals) -> None:
         self._signals = signals
@@ -95,11 +91,7 @@ class SignalPlots:
         return self.toggle(self._target, PlotSignal(group, names[chosen - 1]))
 
     def build(self, ui: Widgets, now: float) -> None:
-        """Builds all plots, which share the remaining height.
-
-        Args:
-            now: time at the right end of the plots, s.
-        """
+        """Builds all plots up to the time `now` in seconds. They share the remaining height."""
         if not self.shown:
             return
         passed = time.monotonic() - self._when

@@ -17,12 +17,7 @@ _READABLE = 0.25  # minimum time for which a counter is shown, s
 
 
 def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
-    """Builds the status line from all texts that fit into its width.
-
-    Args:
-        pieces: texts of the line, the most important first.
-        hint: text at the right end of the line.
-    """
+    """Builds the status line from the texts that fit into it, the most important first."""
     width, _ = ui.room()
     end = 0.0  # right edge of the last text
     for words, mood in pieces:
@@ -87,11 +82,7 @@ _NARROW = 30.0  # minimum width of a timeline with a list of speeds
 
 
 def build_timeline(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
-    """Builds the timeline of a clock and its buttons in one line.
-
-    Args:
-        ticks: marks on the timeline, on which the user can click.
-    """
+    """Builds the timeline of a clock with marks (`ticks`), and its buttons, in one line."""
     is_wide = ui.room()[0] >= _NARROW
     is_still = clock.is_paused or clock.is_at_end
     if ui.button(f"{'play' if is_still else 'pause'}###pause", _PAUSE):

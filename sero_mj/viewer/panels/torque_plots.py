@@ -28,12 +28,7 @@ _NOTE = 2.2  # height of the text that replaces the error plot
 
 
 class TorquePlots:
-    """Plots of the torques of one joint over time, with its limits.
-
-    Args:
-        points: maximum number of samples of a line.
-        interval: minimum time between two updates of the plots, s.
-    """
+    """Plots of the torques of one joint over time, with its limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval
@@ -46,8 +41,6 @@ class TorquePlots:
         """Builds the plots of a joint, and returns the index of the joint that the user selects.
 
         Args:
-            history: torques of all joints over time.
-            joint: index of the joint.
             height: maximum height of the plots, in text heights.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
@@ -110,7 +103,6 @@ def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float)
     """Returns a plot of lines over the last seconds.
 
     Args:
-        label: label of the y axis.
         limit: magnitude of the limit that the plot marks; inf for no limit.
         least: minimum half range of the y axis.
     """

@@ -22,11 +22,7 @@ _DIGITS = 7  # significant digits of the values of sliders, which are float32 nu
 
 
 def check_label(what: str, label: object) -> None:
-    """Raises UsageError if a label is invalid.
-
-    Args:
-        what: name of the label in the message.
-    """
+    """Raises a UsageError, which begins with the text `what`, if a label is invalid."""
     if not isinstance(label, str) or not label.strip() or "##" in label:
         raise UsageError(f"{what}: found {shown(label)}; expected a text without '##'")
 
@@ -70,13 +66,7 @@ class UserWidget(Generic[Value]):
 
 @dataclass(frozen=True)
 class NumberWidget(UserWidget[float]):
-    """A field for a number.
-
-    Attributes:
-        low: minimum value.
-        high: maximum value.
-        unit: unit that is displayed after the number.
-    """
+    """A field for a number with a minimum, a maximum and a unit."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -198,7 +188,6 @@ class WidgetState(NamedTuple):
     """The state of a widget, which the program sends to the viewer.
 
     Attributes:
-        value: current value of the widget.
         number: sequence number of the last change by the program.
         order: position of the widget in its panel.
     """
