@@ -184,7 +184,7 @@ def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
     assert status == 0
     assert json.loads(out)["joint_angles"][0] == -0.1
     status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--camera", "-90,-20,-3")
-    assert "camera: found '-90,-20,-3'; expected a name or azimuth" in err
+    assert "camera: found '-90,-20,-3'; expected the name of a camera, or azimuth" in err
 
 
 @pytest.mark.thorough
