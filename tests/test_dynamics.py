@@ -381,7 +381,9 @@ def refused(**dynamics) -> list[Problem]:
         (
             {"masses": [1, 1, float("nan")]},
             Problem(
-                "dynamics.masses", found=[1, 1, math.nan], expected="finite numbers, no NaN or inf"
+                "dynamics.masses",
+                found=[1, 1, math.nan],
+                expected="finite numbers without NaN or inf",
             ),
         ),
     ],

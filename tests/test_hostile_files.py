@@ -204,7 +204,7 @@ def test_keys_with_thousands_of_dots_are_rejected(tmp_path: Path, key: str) -> N
     file.write_text(f"b = 1\n{start}{dotted * 20_000}c = 1\n")
     with pytest.raises(DeclarationError) as found:
         read_toml(file)
-    expected = "is not TOML: expected at most 100 parts of a key with dots (at line 2)"
+    expected = "is not TOML: expected at most 100 parts of a dotted key (at line 2)"
     assert str(found.value) == f"{file}:2: {expected}"
 
 

@@ -57,8 +57,8 @@ def test_geoms_over_capacity_are_counted_and_reported_once(
         assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
-    assert f"{left_out} decor geoms are not drawn" in caplog.text
-    assert f"capacity is {scene.maxgeom}" in caplog.text
+    assert f"{left_out} geoms of arrows, axes or panels are not drawn" in caplog.text
+    assert f"the scene has room for {scene.maxgeom} geoms" in caplog.text
 
 
 @pytest.mark.parametrize("room", [0, 2])

@@ -339,5 +339,5 @@ def test_waiting_reports_why_no_packet_was_valid(caplog: pytest.LogCaptureFixtur
         assert mirror.wait(0.0) == ["udp"]
     assert caplog.messages == [
         "source 'udp': a packet is not applied: matrices0[0] is not a frame: "
-        "last row [0.2, -0.3, 0.1, 1]; its transpose is one: set column_major = false"
+        "the last row is [0.2, -0.3, 0.1, 1]; its transpose is a frame. Set column_major = false"
     ]

@@ -141,7 +141,7 @@ WRONG = [
     ({"dh_params": []}, Problem("dh_params", found=0, of="rows", expected="1 to 128")),
     ({"dh_params": [0.0] * 516}, Problem("dh_params", found=129, of="rows", expected="1 to 128")),
     ({"dh_params": [0, 0, math.nan, 0]},
-     Problem("dh_params", found=[0, 0, math.nan, 0], expected="finite numbers, no NaN or inf")),
+     Problem("dh_params", found=[0, 0, math.nan, 0], expected="finite numbers without NaN or inf")),
     ({"dh_columns": ["a", "a", "d", "theta"]},
      Problem("dh_columns",
              "found ['a', 'a', 'd', 'theta']; expected alpha, a, theta, d in any order")),
@@ -171,7 +171,7 @@ WRONG = [
     ({"torque_limits": 5}, Problem("torque_limits", "found one number; expected n numbers")),
     ({"joint_angles": "x"}, Problem("joint_angles", found="x", expected="numbers")),
     ({"torques": [math.inf]}, Problem("torques", found=[math.inf],
-                                      expected="finite numbers, no NaN or inf")),
+                                      expected="finite numbers without NaN or inf")),
     ({"filenames": 5}, Problem("filenames", found=5, expected="list")),
     ({"filenames": ["", "", "a.stl"]},
      Problem("filenames", found=3, of="entries", expected="2, one for the base and one per joint")),
@@ -266,7 +266,7 @@ def test_billboard_scale_that_is_not_finite_is_rejected():
 
 @pytest.mark.parametrize("name", ["my arm", "2arm", "a/b", "a.b", ""])
 def test_invalid_robot_name_is_rejected_without_showing_a_pattern(name):
-    expected = "letters, digits, _ and -, the first a letter or _"
+    expected = "a name of letters, digits, _ and - that begins with a letter or _"
     with raises_with(key="name", found=name, expected=expected):
         robot(name=name)
 

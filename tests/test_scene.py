@@ -240,7 +240,7 @@ WRONG = {
                 expected="'box', 'sphere', 'cylinder', 'capsule', 'ellipsoid', 'axes' or 'limb'",
                 available=["box"], file="s.toml", line=2),
         Problem("objects.box.size", found=[math.nan, 1, 1],
-                expected="finite numbers, no NaN or inf", file="s.toml", line=3),
+                expected="finite numbers without NaN or inf", file="s.toml", line=3),
     ],
     # Lines of keys that follow values of several lines.
     f"{ARM}dh_params = [\n  [0, 0, 0, 1],\n  [0, 0, 0, 0]\n]\ntorque_limits = [-1, 1]": [
@@ -262,8 +262,8 @@ WRONG = {
     ],
     f'{ARM}[robots . "my arm"]\n"dh_params" = [1]\ndh_convention = "craig"': [
         Problem("robots.my arm.name", found="my arm",
-                expected="letters, digits, _ and -, the first a letter or _", file="s.toml",
-                line=3),
+                expected="a name of letters, digits, _ and - that begins with a letter or _",
+                file="s.toml", line=3),
         Problem("robots.my arm.dh_params", "found 1; expected n x 4 numbers", file="s.toml",
                 line=4),
     ],
