@@ -29,7 +29,8 @@ from typing import Any
 
 from .errors import NotTrusted, UnknownName, in_one_line
 
-log = logging.getLogger(__name__)  # withheld actions; windows and pages show a dialog instead
+# Reports withheld actions on the command line. Windows and pages show a dialog instead.
+log = logging.getLogger(__name__)
 
 _folders: set[Path] = set()
 _allowed: set[str] = set()  # digests of requests
