@@ -34,15 +34,12 @@ Geom = mujoco.mjtGeom
 
 
 def write_toml(options: ExportOptions) -> int:
-    """Converts an X3D scene to a TOML file, and returns the exit code."""
+    """Writes an X3D scene as TOML. Returns the exit code."""
     return _write(options, to_x3d=False)
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Converts a scene to an X3D file and VRML97 files of the links, and returns the exit code.
-
-    The VRML97 files are in OUTPUT_links/ROBOT.
-    """
+    """Writes a scene as X3D, and its links as VRML97 in OUTPUT_links/ROBOT. Returns the exit code."""
     return _write(options, to_x3d=True)
 
 

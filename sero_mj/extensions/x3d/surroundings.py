@@ -99,10 +99,7 @@ def mesh_text(pieces: list[Triangles]) -> str:
 
 
 def view_axes(viewpoint: Node, problems: Problems) -> Array:
-    """Returns the axes of a Viewpoint in its parent's frame, shape (3, 3).
-
-    The columns point to the right, up and backward.
-    """
+    """Returns the right, up and backward axes of a Viewpoint in its parent's frame, as columns."""
     default = np.array([0.0, 0.0, 1.0, 0.0])
     with problems.collect(f"{viewpoint.label}.orientation", viewpoint.line):
         return rotation(get(viewpoint, "orientation", "SFRotation", default, problems))
@@ -110,11 +107,7 @@ def view_axes(viewpoint: Node, problems: Problems) -> Array:
 
 
 def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
-    """Converts a Viewpoint to the table of a camera.
-
-    Returns:
-        table, and roll angle of the Viewpoint in degrees, which cameras of scenes cannot have.
-    """
+    """Returns the camera table of a Viewpoint, and its roll in degrees, which cameras lack."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
     axes = axes / np.linalg.norm(axes, axis=0)

@@ -72,15 +72,7 @@ class Proto:
 
 @dataclass(eq=False)
 class Node:
-    """A node of a scene.
-
-    Attributes:
-        kind: type of the node, such as `Shape`.
-        line: line number in the file.
-        name: name that DEF gives to the node, or an empty string.
-        fields: mapping from names of fields to their values.
-        proto: PROTO that the node instantiates, or None.
-    """
+    """A node of a scene. `name` is the name that DEF gives to the node, or an empty string."""
 
     kind: str
     line: int
@@ -113,15 +105,7 @@ class RouteStatement:
 
 @dataclass(eq=False)
 class Document:
-    """The contents of a VRML or X3D file.
-
-    Attributes:
-        path: path of the file.
-        nodes: nodes at the top level.
-        routes: ROUTE statements.
-        names: mapping from names to the nodes that DEF gives these names.
-        protos: mapping from names to PROTOs.
-    """
+    """The contents of a VRML or X3D file. `nodes` are the nodes at the top level."""
 
     path: Path
     nodes: list[Node] = field(default_factory=list)
@@ -271,14 +255,9 @@ def _shown(items: Sequence[Any] | Array) -> str:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """Returns the value of a node's field, converted to an X3D type by `read_field`.
+    """Returns the value of a node's field, converted to the X3D type `kind` by `read_field`.
 
-    Args:
-        node: node with the field.
-        name: name of the field.
-        kind: X3D type of the field.
-        default: return value if the field is missing or invalid.
-        problems: collection to which the error of an invalid field is added.
+    If the field is missing or invalid, returns `default`. Errors are added to `problems`.
     """
     value = node.value(name)
     if value is None:

@@ -34,13 +34,9 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Converts a scene to X3D text, which `read_x3d` can read.
+    """Converts a scene to X3D text for `read_x3d`. Also returns the keys that X3D cannot express.
 
-    Args:
-        tables: tables of a scene file, in which robots have fields instead of `model`.
-
-    Returns:
-        X3D text, and keys that X3D cannot express.
+    `tables` are the tables of a scene file, in which robots have fields instead of `model`.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
@@ -356,15 +352,7 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """Returns the lines of a Shape node, inside a Transform node if it is moved or scaled.
-
-    Args:
-        geometry: text of the geometry node.
-        rgba: color, shape (4,); None for no material.
-        T: pose of the Shape, shape (4, 4).
-        scale: scale factors, shape (3,); None for no scaling.
-        name: name of the Shape, or an empty string.
-    """
+    """Returns the lines of a Shape node, in a Transform node if the Shape is moved or scaled."""
     lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"
@@ -399,13 +387,9 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
 
 
 def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
-    """Returns the text of an IndexedFaceSet of triangles.
+    """Returns an IndexedFaceSet of triangles, shape (f, 3), with vertices `points`, shape (k, 3).
 
-    Args:
-        points: vertices, shape (k, 3).
-        faces: vertex indices of the triangles, shape (f, 3).
-        crease: angle in rad above which edges are sharp. Edges between duplicated vertices are
-            always sharp.
+    Edges are sharp above the angle `crease` in rad, and between duplicated vertices.
     """
     coordinates = ", ".join(" ".join(f"{value:.7g}" for value in point) for point in points)
     corners = " ".join(f"{a} {b} {c} -1" for a, b, c in np.asarray(faces).tolist())

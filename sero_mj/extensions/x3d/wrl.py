@@ -42,13 +42,7 @@ _UNSEEN = {
 
 
 class VisitedNode(NamedTuple):
-    """A node that was found while traversing a scene.
-
-    Attributes:
-        node: found node.
-        T: affine transform T_root_node, shape (4, 4).
-        path: file with the node.
-    """
+    """A visited node of a scene. `T` is its affine transform T_root_node, shape (4, 4)."""
 
     node: Node
     T: Array
@@ -115,11 +109,8 @@ def visit(
 ) -> list[VisitedNode]:
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
-    Args:
-        nodes: nodes at the top level of a file.
-        path: path of the file. Inlined files must be in the same folder.
-        problems: collection to which errors are added.
-        is_leaf: function that returns whether a node is returned instead of its children.
+    If `is_leaf` returns True for a node, the node is returned instead of its children. Inlined
+    files must be in the folder of the file `path`.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -237,10 +228,7 @@ def matrix(numbers: Array) -> Array:
 
 
 def rotation(axis_angle: Array) -> Array:
-    """Converts an SFRotation to a rotation matrix, shape (3, 3).
-
-    `axis_angle` is an axis of any length and an angle in rad, shape (4,).
-    """
+    """Converts an SFRotation, an axis of any length and an angle in rad, to a matrix, (3, 3)."""
     axis, angle = axis_angle[:3], float(axis_angle[3])
     length = np.linalg.norm(axis)
     if length == 0.0:

@@ -129,14 +129,9 @@ def _check_index(name: str, index: Ints, count: int, low: int = -1) -> None:
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Triangulates polygons.
+    """Triangulates polygons, whose point indices end with -1.
 
-    Args:
-        points: points, shape (n, 3).
-        index: indices of the polygons' corners. Each polygon ends with -1.
-
-    Returns:
-        positions of the triangles' corners in `index`, shape (f, 3).
+    Returns the positions of the triangles' corners in `index`, shape (f, 3).
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -173,14 +168,10 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Triangulates a planar polygon, which may be concave, by ear clipping.
+    """Triangulates a planar polygon, shape (n, 3), which may be concave, by ear clipping.
 
-    Args:
-        outline: corners of the polygon, shape (n, 3), counterclockwise about the normal.
-        normal: normal of the polygon, shape (3,), of any length.
-
-    Returns:
-        corner indices of the triangles, shape (n - 2, 3).
+    The corners are counterclockwise about the normal. Returns corner indices of the triangles,
+    shape (n - 2, 3).
 
     Source: Meisters, Polygons Have Ears, 1975.
     """
@@ -299,13 +290,8 @@ def _smoothing(
 def smoothed(normals: Array, faces: Ints, min_cosine: float) -> Ints:
     """Labels the corners of triangles. Corners that meet at smooth edges have the same label.
 
-    Args:
-        normals: normals of the triangles, shape (f, 3).
-        faces: vertex indices of the triangles, shape (f, 3).
-        min_cosine: minimum cosine of the angle between two triangles at a smooth edge.
-
-    Returns:
-        label of each corner, shape (f, 3).
+    At a smooth edge, the cosine of the angle between the normals is at least `min_cosine`. The
+    shape of the returned labels is (f, 3), as that of the triangles' vertex indices `faces`.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)

@@ -81,10 +81,7 @@ class Pointer:
         return any(shown.tools.call_all(lambda tool: tool.hover(at)))
 
     def follow(self) -> str:
-        """Makes the camera follow the coordinate frame under the pointer.
-
-        If there is no frame under the pointer, the camera stops following.
-        """
+        """Makes the camera follow the frame under the pointer, or stop if no frame is there."""
         shown = self._shown
         picked = None if self.at is None else shown.decor.pick(shown.data, self.at)
         is_frame = picked is not None and picked.name in shown.world.frames.names
@@ -94,7 +91,6 @@ class Pointer:
         """Performs the action of a click.
 
         Args:
-            clicked: click event.
             picked: clicked item; None to search for an item at the clicked pixel.
         """
         shown, at = self._shown, (clicked.x, clicked.y)

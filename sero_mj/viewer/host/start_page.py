@@ -147,10 +147,7 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """Command line that sends example packets, or an empty string.
-
-        The string is empty if packets arrive already or cannot be received.
-        """
+        """Command that sends example packets. Empty if packets arrive or cannot be received."""
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"

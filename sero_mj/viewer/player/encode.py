@@ -182,10 +182,7 @@ def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns the appearance of each joint's arrow: radius, opacity and parameters of its width.
-
-    `limit` holds the joint values at which arrows have full width, shape (N,).
-    """
+    """Returns radius, opacity and parameters of the width of each joint's arrow."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)

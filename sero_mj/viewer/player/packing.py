@@ -62,13 +62,10 @@ def differing(numbers: np.ndarray) -> np.ndarray:
 
 
 def poses(rows: np.ndarray) -> tuple[Array, Array]:
-    """Returns the quaternions (w, x, y, z), shape (k, 4), and the sizes, (k, 3), of k geoms.
+    """Returns quaternions (w, x, y, z), shape (k, 4), and sizes, shape (k, 3), of rows of `GEOM`.
 
     The x axis of a triangle points along its first side. Its sizes are the length of the first
     side, and the extents of the second side along y and x.
-
-    Args:
-        rows: geoms, shape (k,), dtype `GEOM`.
     """
     mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
     skew = (rows["type"] == _TRIANGLE).nonzero()[0]

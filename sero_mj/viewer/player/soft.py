@@ -53,12 +53,7 @@ class Soft:
 
 
 class SoftFrame(NamedTuple):
-    """Flexes and tendons in one state.
-
-    Attributes:
-        vertices: positions of the flex vertices, shape (V, 3), m.
-        tendons: tendon pieces, dtype `GEOM`.
-    """
+    """Positions of flex vertices, shape (V, 3), m, and tendon pieces, dtype `GEOM`, at one time."""
 
     vertices: Array
     tendons: np.ndarray

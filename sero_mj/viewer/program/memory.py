@@ -147,8 +147,6 @@ class SceneMemory:
 
     Args:
         world: compiled scene, which must be equal in both processes.
-        data: state of the scene in this process.
-        path: path of the memory that the other process has created; None to create the memory.
     """
 
     def __init__(self, world: WorldView, data: mujoco.MjData, path: Path | None = None) -> None:

@@ -224,10 +224,7 @@ class UserPanels:
         return changes or None
 
     def receive(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
-        """Applies changes by the user.
-
-        Each change has the new value, and the number of the last change that the viewer received.
-        """
+        """Applies the values that the user has set, except those that the program has overridden."""
         with self._lock:
             for place, (value, number) in changes.items():
                 handle = self._handles.get(place)

@@ -100,14 +100,10 @@ class ViewerProcess:
         self._send(("describe", _pickled(shown), level))
 
     def open(self, memory: str, options: dict[str, Any]) -> list[str]:
-        """Opens the window or page and the scene's sources.
+        """Opens the window or page and the scene's sources, and returns the addresses of the page.
 
         Args:
             memory: path of the shared memory.
-            options: options of the window or page.
-
-        Returns:
-            addresses of the page; empty for a window.
 
         Raises:
             SeroError: an error in the viewer's process.

@@ -31,7 +31,6 @@ class BackgroundExports:
 
         Args:
             words: arguments of `sero-mj` that create the file, without `-o`.
-            path: output file.
         """
         self._waiting.append(([*words, "-o", str(path)], path))
         return len(self._waiting) - 1 + (self._made is not None)
@@ -40,11 +39,7 @@ class BackgroundExports:
         return self.add(["export", str(recording)], recording.with_suffix(".html"))
 
     def advance(self) -> tuple[str, bool] | None:
-        """Starts the next file if the current one is finished.
-
-        Returns:
-            message about a finished file, and whether it is an error; or None.
-        """
+        """Starts the next file if the current one is finished, and returns a message about it."""
         message = None
         if self._made is not None and self._made[0].status:
             message = self._end()

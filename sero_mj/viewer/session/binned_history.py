@@ -19,9 +19,6 @@ class BinnedHistory:
     Args:
         shape: shape of a sample.
         span: duration of the history in seconds.
-
-    Attributes:
-        newest: time of the newest sample in seconds.
     """
 
     def __init__(self, shape: tuple[int, ...] = (), span: float = SPAN) -> None:
@@ -36,12 +33,7 @@ class BinnedHistory:
         self._last = None
 
     def add(self, times: Array, values: Array) -> None:
-        """Adds samples.
-
-        Args:
-            times: times of the samples in seconds, shape (n,).
-            values: samples, shape (n, ...); NaN for no data.
-        """
+        """Adds samples, shape (n, ...), at times in seconds, shape (n,). NaN means no data."""
         bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
         newest = int(bins[-1])
         if self._last is None:

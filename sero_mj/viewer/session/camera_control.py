@@ -16,10 +16,7 @@ class CameraControl:
     """Moves the camera of a window or page, unless a background photo fixes it.
 
     Args:
-        navigator: camera and cameras of the scene.
-        data: displayed state.
         decor: function that returns the decor of the last frame.
-        say: function that shows a message to the user.
     """
 
     def __init__(
@@ -32,18 +29,11 @@ class CameraControl:
         self._navigator, self._data, self._decor, self._say = navigator, data, decor, say
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number, and returns a message for the user.
-
-        Number 1 is the first camera of the scene, and 0 is the initial view.
-        """
+        """Selects a camera by number. The first camera is 1, and the initial view is 0."""
         return self._decor().fixed or self._navigator.choose(number)
 
     def follow(self, frame: str | None) -> str:
-        """Follows a coordinate frame, or stops if `frame` is None.
-
-        Returns:
-            message for the user.
-        """
+        """Follows a coordinate frame, or stops if it is None. Returns a message for the user."""
         return self._decor().fixed or self._navigator.follow(self._data, frame)
 
     def center(self, point: Array) -> None:

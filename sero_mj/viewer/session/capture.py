@@ -22,10 +22,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
     No name is returned twice, because the files may be written later.
 
     Args:
-        folder: directory of the file.
-        scene: name of the scene, with which the file name begins.
         ending: file extension with a leading dot.
-        now: date and time in the file name.
     """
     safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
@@ -39,12 +36,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often the current image must be added so that the video plays in real time.
-
-    Args:
-        seconds: time since the start of the video in seconds.
-        sent: number of images that have been added so far.
-    """
+    """Returns how often to add the current image so that the video plays in real time."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 

@@ -125,11 +125,7 @@ class Clock:
         return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
-        """Advances by `passed` seconds of real time, and updates the mirror.
-
-        Returns:
-            whether the displayed state has changed.
-        """
+        """Advances by a real time in seconds. Returns whether the displayed state has changed."""
         if self.is_live:
             return self._follow(passed)
         if self.is_paused or self.is_at_end:

@@ -63,13 +63,9 @@ class Moved:
 
 @dataclass(frozen=True)
 class Clicked:
-    """A mouse click.
+    """A mouse click. The time is that of the press on the clock of `time.monotonic` in seconds.
 
     Attributes:
-        x: distance from the left edge of the framebuffer in pixels.
-        y: distance from the lower edge of the framebuffer in pixels.
-        time: time of the press on the clock of `time.monotonic` in seconds.
-        shift: whether Shift or Control was held.
         center: whether the click centers the view at the clicked point.
     """
 

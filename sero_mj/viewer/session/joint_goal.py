@@ -92,20 +92,15 @@ class JointGoal:
         self._posture = self._free.copy()
 
     def flange(self, base: Array) -> Array:
-        """Returns the flange pose T_world_flange, shape (4, 4), at the requested joint angles.
-
-        `base` is T_world_base, shape (4, 4).
-        """
+        """Returns T_world_flange, shape (4, 4), at the requested angles. `base` is T_world_base."""
         return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
 
     def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
-        """Moves the flange to a pose, or as close to it as possible.
+        """Moves the flange to a pose, shape (4, 4), or as close to it as possible.
 
         Args:
             base: T_world_base, shape (4, 4).
-            pose: requested T_world_flange, shape (4, 4).
-            at_once: whether the user has typed the pose. If a typed pose cannot be reached, the
-                flange does not move.
+            at_once: whether the user has typed the pose. If so, a pose out of reach is rejected.
         """
         if not np.isfinite(pose).all():
             self.trouble = _NO_NUMBER
@@ -169,12 +164,7 @@ class JointGoal:
 
 
 def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
-    """Sets the joint angles of goals if they have changed.
-
-    Args:
-        goals: mapping from robot names to goals.
-        angles: pairs of a robot name and joint angles as bytes of float64.
-    """
+    """Sets the joint angles of goals from pairs of a robot name and bytes of float64."""
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))

@@ -90,12 +90,7 @@ _KINDS = {
 
 
 def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
-    """Returns the columns of the help. Each row is a key or gesture with its effect, or a heading.
-
-    Args:
-        of_tools: mapping from keys of tools to their actions.
-        on_page: whether the help is for a page instead of a window.
-    """
+    """Returns the columns of the help. A row is a key or gesture with its effect, or a heading."""
     keys = {**VIEWER_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
     if on_page:
         keys = {key: entry for key, entry in keys.items() if key not in _OF_BROWSER}

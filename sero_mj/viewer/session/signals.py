@@ -143,16 +143,10 @@ class PlotSignals:
         return new
 
     def of(self, signal: PlotSignal, until: float, points: int) -> tuple[Array, Array]:
-        """Returns the samples of a signal for a plot, which covers `SPAN` seconds, oldest first.
-
-        Args:
-            signal: signal to plot.
-            until: last time of the plot in seconds.
-            points: approximate maximum number of samples.
+        """Returns the samples of a signal for a plot that ends at `until`, with the oldest first.
 
         Returns:
-            times in seconds relative to `until`, shape (k,), and values, shape (k,); NaN for no
-            data.
+            times in seconds relative to `until` and values, both of shape (k,); NaN for no data.
         """
         if self._has_torque(signal):
             joint, key = self._joints[signal]

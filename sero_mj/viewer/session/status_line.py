@@ -37,10 +37,7 @@ _SLOW = 0.85  # fraction of the selected speed below which the actual speed is s
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """Returns the status text of a source and its mood, which determines the color.
-
-    `found` is the result of `report` for the source.
-    """
+    """Returns the status text for the `report` of a source, and the mood of the text."""
     name = found["source"]
     if not is_live:
         return str(found["about"]), "plain"

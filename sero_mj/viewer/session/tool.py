@@ -114,10 +114,7 @@ class Grab(NamedTuple):
 
 
 class PointerEvents:
-    """Methods that handle the pointer events of a tool.
-
-    In pixel coordinates, (0, 0) is the lower left corner of the image.
-    """
+    """Methods for the pointer events of a tool. The pixel (0, 0) is the lower left corner."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
         """Called when the user clicks. Returns a message, or None to pass the click on."""
@@ -281,11 +278,7 @@ class Tool(PointerEvents, ToolState):
         """Called with the image of a frame, shape (height, width, 3), and its time in seconds."""
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """Returns the target that a gamepad moves, or None.
-
-        Returns:
-            robot name, goal, and T_world_base, shape (4, 4).
-        """
+        """Returns name, goal and T_world_base, shape (4, 4), of the robot that a gamepad moves."""
         return None
 
     def close(self) -> None:
@@ -369,10 +362,7 @@ class Tools(Mapping[str, Tool]):
         return any(self.call_all(lambda tool: tool.takes_images))
 
     def distribute_image(self, draw: Callable[[], Pixels]) -> None:
-        """Passes the current image to the tools that want it.
-
-        `draw` renders the image, and is only called if a tool wants it.
-        """
+        """Passes the current image to the tools that need it. `draw` renders it if there are any."""
         now = time.monotonic()
         wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
         if any(wanting):
@@ -415,11 +405,6 @@ class Actions:
 
     If two actions have the same name or the same key, the second one is ignored with a warning in
     the log.
-
-    Args:
-        own: mapping from names to actions of the window or page.
-        tools: tools with further actions.
-        say: function that shows a message. Its second argument is whether it is an error.
     """
 
     def __init__(
@@ -469,10 +454,7 @@ class Actions:
 
 
 def tool_kinds() -> dict[str, type[Tool]]:
-    """Returns a mapping from names to all installed tools, sorted by `order`.
-
-    Tools that cannot be loaded are logged.
-    """
+    """Returns all installed tools by name, sorted by `order`. Failures to load a tool are logged."""
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 

@@ -115,12 +115,7 @@ class TorqueHistory:
         return times[is_recent], values[:, is_recent]
 
     def one(self, joint: int, key: str, points: int) -> tuple[Array, Array]:
-        """Returns one quantity of a joint, with the oldest sample first.
-
-        Args:
-            joint: index of the joint in the world.
-            key: name of the quantity, which must be a key of `ROWS`.
-            points: approximate maximum number of samples.
+        """Returns one quantity of a joint, a key of `ROWS`, with the oldest sample first.
 
         Returns:
             times in seconds, shape (k,), and values in Nm or N, shape (k,); NaN for no data.

@@ -35,16 +35,7 @@ class PlotLine(NamedTuple):
 
 
 class Plot(NamedTuple):
-    """The contents of a plot.
-
-    Attributes:
-        x_unit: unit of the x axis.
-        y_label: label of the y axis.
-        lines: lines of the plot.
-        x_range: minimum and maximum of the x axis.
-        y_range: minimum and maximum of the y axis.
-        limits: y values that the plot marks if they are visible.
-    """
+    """The contents of a plot. `limits` are y values that are marked if they are visible."""
 
     x_unit: str
     y_label: str
@@ -82,7 +73,6 @@ class Widgets(Protocol):
         """Begins a collapsible section, and returns whether it is open.
 
         Args:
-            label: title of the section.
             is_open: whether the section is open until the user opens or closes it.
         """
 
@@ -95,7 +85,6 @@ class Widgets(Protocol):
         """Begins a table, and returns whether it is visible. If so, call `end_table`.
 
         Args:
-            name: identifier of the table.
             widths: widths of the columns; 0 for an equal share of the remaining width.
         """
 
@@ -138,8 +127,6 @@ class Widgets(Protocol):
         """Builds a text field, and returns its text.
 
         Args:
-            label: label of the field.
-            text: initial text.
             hint: text that is shown while the field is empty.
         """
 
@@ -155,12 +142,7 @@ class Widgets(Protocol):
         """Builds a slider. Returns whether the user has moved it, and its value.
 
         Args:
-            label: label of the slider.
-            value: current value.
-            low: minimum value.
-            high: maximum value.
             text: printf format of the value, such as `%.1f deg`; an empty string to hide the value.
-            ticks: ticks of the slider.
         """
 
     def plot(self, plot: Plot, height: float) -> None: ...

@@ -84,7 +84,6 @@ def target_of(eye: Array, forward: Array, point: Array, ray: Array) -> Array:
 
     Args:
         eye: position of the camera, shape (3,), m.
-        forward: viewing direction of the camera, shape (3,).
         point: point of the plane, shape (3,), m.
         ray: point of the line of sight, shape (3,), m.
     """

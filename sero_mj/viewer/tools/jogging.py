@@ -169,14 +169,7 @@ class Jogging(Tool):
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
-    """Returns the next displayed joint angles, which approach the requested ones.
-
-    Args:
-        shown: displayed joint angles, shape (n,), rad or m.
-        wanted: requested joint angles, shape (n,), rad or m.
-        passed: time since the last frame in seconds.
-        fastest: maximum joint speeds, shape (n,), rad/s or m/s.
-    """
+    """Returns the next displayed joint angles, which approach the requested ones, shape (n,)."""
     error = wanted - shown
     step = np.clip(error * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
     return np.asarray(np.where(np.abs(error) < 1e-5, wanted, shown + step))

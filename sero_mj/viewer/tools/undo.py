@@ -17,12 +17,7 @@ _MAX_STEPS = 200
 
 
 class Undo(Generic[State]):
-    """Undo history of a state. Changes without a pause between them form one step.
-
-    Args:
-        read: function that returns the current state, called in every frame.
-        write: function that restores a state.
-    """
+    """Undo history of the state that `read` returns. Changes without a pause form one step."""
 
     def __init__(self, read: Callable[[], State], write: Callable[[State], None]) -> None:
         self._read, self._write = read, write

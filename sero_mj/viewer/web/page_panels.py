@@ -45,10 +45,7 @@ class PagePanels:
             self._has_input = True
 
     def fit(self, width: int) -> None:
-        """Hides the panel if the page becomes narrow, and shows it if the page becomes wide.
-
-        `width` is the new width of the page in pixels.
-        """
+        """Hides the panel if the page becomes narrow, and shows it if the page becomes wide."""
         if self._is_narrow != (width < _NARROW):
             self._is_narrow = width < _NARROW
             self._host.shows_panel = not self._is_narrow

@@ -177,7 +177,7 @@ class PageState(FrameTaker):
 def billboard_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
     """Splits the text of a billboard into its title, and the label and value of each line.
 
-    The first line begins with the title. Two or more spaces separate columns.
+    Two or more spaces separate columns. The first column is the title.
     """
     title, lines = "", []
     for number, text in enumerate(texts):

@@ -43,10 +43,7 @@ class Sections:
                 self._found[name] = self._version, content
 
     def since(self, seen: int) -> tuple[bytes | None, int]:
-        """Returns a message with all parts changed since a version, and the new version.
-
-        The message is None if nothing has changed.
-        """
+        """Returns a message with all parts changed since a version, and the new version."""
         with self._lock:
             now = self._version
             if seen == now:

@@ -65,10 +65,6 @@ class Drops:
     def reserve(self, files: int, size: int) -> Path:
         """Creates a folder for a drop. If space is needed, drops that are not shown are deleted.
 
-        Args:
-            files: number of files.
-            size: total size of the files in bytes.
-
         Raises:
             UsageError: there is not enough space, because other drops are shown or being received.
         """

@@ -219,9 +219,6 @@ def arrange(
     Args:
         size: width and height of the window in pixels.
         text: height of a line of text in pixels.
-        has_status: whether the status line is visible.
-        has_time: whether the timeline is visible.
-        has_area: whether an area beside the image is visible.
     """
     width, whole = size
     low = round(_STATUS * text) if has_status else 0
