@@ -39,7 +39,7 @@ def write_toml(options: ExportOptions) -> int:
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Writes a scene as X3D, and its links as VRML97 in OUTPUT_links/ROBOT. Returns the exit code."""
+    """Writes a scene as X3D, and links as VRML97 in OUTPUT_links/ROBOT. Returns the exit code."""
     return _write(options, to_x3d=True)
 
 

@@ -40,9 +40,7 @@ class Is(NamedTuple):
 class FieldValue:
     """The value of a field, without a type.
 
-    Attributes:
-        items: numbers (floats or one array), strings, booleans, nodes (None for NULL), or one `Is`.
-        line: line number in the file.
+    `items` are numbers (floats or one array), strings, booleans, nodes, None for NULL, or one `Is`.
     """
 
     items: Sequence[Any] | Array

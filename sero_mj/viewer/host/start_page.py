@@ -51,8 +51,6 @@ class Tile(NamedTuple):
     """An item of the start page that the user can open.
 
     Attributes:
-        view: scene, robot or recording that the item opens.
-        title: title of the item.
         about: one-line description.
         image: path of the preview image, or None.
     """

@@ -224,7 +224,7 @@ class UserPanels:
         return changes or None
 
     def receive(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
-        """Applies the values that the user has set, except those that the program has overridden."""
+        """Applies the values that the user has set, unless the program has overridden them."""
         with self._lock:
             for place, (value, number) in changes.items():
                 handle = self._handles.get(place)

@@ -98,9 +98,6 @@ class Mouse:
 
         Args:
             pulls: function that returns whether an item can be pulled at a pixel.
-
-        Returns:
-            whether the press now counts as a press with Control.
         """
         press = self._pressed
         if press is None or self._is_drag or not pulls((press.x, press.y)):

@@ -362,7 +362,7 @@ class Tools(Mapping[str, Tool]):
         return any(self.call_all(lambda tool: tool.takes_images))
 
     def distribute_image(self, draw: Callable[[], Pixels]) -> None:
-        """Passes the current image to the tools that need it. `draw` renders it if there are any."""
+        """Passes the current image to the tools that need it. `draw` renders it if there is one."""
         now = time.monotonic()
         wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
         if any(wanting):
@@ -454,7 +454,7 @@ class Actions:
 
 
 def tool_kinds() -> dict[str, type[Tool]]:
-    """Returns all installed tools by name, sorted by `order`. Failures to load a tool are logged."""
+    """Returns all installed tools by name, sorted by `order`. Failures to load one are logged."""
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 

@@ -136,8 +136,6 @@ class ViewSnapshot(NamedTuple):
     Attributes:
         camera: type, camera id, body id, azimuth, elevation and distance of the camera.
         lookat: look-at point, shape (3,), m; None if the camera follows a frame.
-        switches: bytes of each switch.
-        selected: index of the selected joint, or None.
     """
 
     camera: tuple[float, ...]

@@ -99,9 +99,6 @@ class Guard:
         host: address or name that the user has specified for the server.
         token: required token, or None.
         public: paths of files that need no token.
-
-    Attributes:
-        refused: number of refused requests.
     """
 
     def __init__(

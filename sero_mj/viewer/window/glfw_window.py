@@ -48,10 +48,7 @@ class GlWindow:
     """A window with an OpenGL context for a world.
 
     Args:
-        world: world that the window displays.
         size: size of the window in screen coordinates, limited to the size of the screen.
-        title: title of the window.
-        full_screen: whether the window covers the screen.
 
     Attributes:
         context: context that renders the scene.

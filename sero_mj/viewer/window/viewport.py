@@ -27,8 +27,6 @@ class Pane(NamedTuple):
     """The part of a window that shows the image.
 
     Attributes:
-        rect: rectangle of the image in the window.
-        typesetter: typesetter of text panels.
         covered: width in pixels that the panel covers at the left edge. Text must be beside it.
     """
 
