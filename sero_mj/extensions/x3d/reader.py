@@ -139,7 +139,7 @@ class _X3dReader:
         return name
 
     def _turn(self, seen: list[VisitedNode]) -> Array:
-        """Returns the transform that makes z point up, or the identity if it does so already.
+        """Returns the rotation from y up to z up, or the identity if y is not up.
 
         In X3D, y is up, but z is up in the paper's scenes. The first viewpoint shows which axis is
         up. If there is no viewpoint, the bases of the robots show it.

@@ -187,7 +187,7 @@ class _Place:
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.views: dict[int, list[RecentView]] = {}  # by packet size
+        self.views: dict[int, list[RecentView]] = {}  # keys: packet sizes
         self.trouble = ""
         self._counts: dict[int, Counter[int]] = {}  # packets per second, by packet size
         self._last: dict[int, float] = {}

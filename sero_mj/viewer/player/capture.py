@@ -1,4 +1,4 @@
-"""Captures poses, values and decor of each frame of a scene for the player, without OpenGL.
+"""Captures poses, values and overlays of each frame of a scene for the player, without OpenGL.
 
 The player places everything that depends on the camera, such as billboards.
 """
@@ -146,7 +146,7 @@ class CapturedRun:
 
 
 class FrameCapturer:
-    """Captures states of a world one by one. Joint arrows are omitted: the player draws them."""
+    """Captures states of a world one by one, without joint arrows, which the player draws."""
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
         self._world, self._camera = world, camera
@@ -342,7 +342,7 @@ def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) 
 
 
 def _hold_last(poses: Array, far: Bools) -> None:
-    """Replaces each missing pose of a body by the last known pose, or by the first one."""
+    """Replaces each missing pose of a body by the last known pose, or by the first known pose."""
     for b in np.flatnonzero(far.any(axis=0)):
         there = np.flatnonzero(~far[:, b])
         if not len(there):

@@ -182,7 +182,7 @@ def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns radius, opacity and parameters of the width of each joint's arrow."""
+    """Returns the radius, the opacity and the width parameters of each joint's arrow."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)

@@ -1,4 +1,4 @@
-"""`FrameTaker`: captures a frame of decor for the player in live pages and exported files."""
+"""`FrameTaker`: captures the frames of live pages and exported files for the player."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class FrameTaker:
         self.frame = frame
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Returns the last drawn frame. `data` must contain the state that it shows."""
+        """Returns the last drawn frame. `data` must contain the state that the frame shows."""
         world, frame = self._world, self.frame
         assert frame is not None
         buffer, model = frame.buffer, world.model

@@ -430,7 +430,7 @@ def _differences(places: Array) -> Array:
 
 
 def _octahedral(normals: Array) -> np.ndarray:
-    """Returns the octahedral encoding of unit vectors: (n, 3) becomes int8 of shape (2, n)."""
+    """Converts unit vectors, shape (n, 3), to octahedral encoding, shape (2, n), int8."""
     normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
     over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
     square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
