@@ -54,7 +54,7 @@ def main() -> None:
     except SystemExit:
         pass  # The program has ended before the viewer was open.
     sys.stderr.flush()
-    # A normal exit would wait for the thread that reads messages.
+    # The process must end at once, because a thread is still waiting for messages.
     os._exit(status)
 
 
