@@ -106,7 +106,7 @@ def test_whole_scene_survives_conversion(
     capsys.readouterr()
     convert(tmp_path / "scenes" / "cell.toml", tmp_path / "again.x3d")
     err = capsys.readouterr().err
-    assert err.split("cannot express it: ")[1] == "sources.udp.host\n"
+    assert err.split("of the scene: ")[1] == "sources.udp.host\n"
     again = read_x3d(tmp_path / "again.x3d").tables
     del tables["sources"]["udp"]["host"]
     assert again["robots"]["arm"].pop("directory") == "meshes/of it"
