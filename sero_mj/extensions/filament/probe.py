@@ -93,12 +93,7 @@ def _try(width: int, height: int) -> str | None:
 
 
 def reason_of(stderr: str, status: int) -> str:
-    """Returns why the test process failed, in one line.
-
-    Args:
-        stderr: standard error output of the process.
-        status: exit status of the process.
-    """
+    """Returns in one line why the test process failed, from its error output and exit status."""
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
     found = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
     found = found or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
