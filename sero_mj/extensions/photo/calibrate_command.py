@@ -83,8 +83,8 @@ def run(options: CalibrateOptions) -> int:
     if options.points is None and not options.names:
         if not has_display():
             raise UsageError(
-                "there is no display for a window in which to click points; use --points POINTS.csv "
-                "with points of the robot and their pixels"
+                "there is no display for a window in which to click points; use --points "
+                "POINTS.csv with points of the robot and their pixels"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo uses the OpenGL context of the window
     from .calibration import calibrate, point_names, point_of, read_points, write_points
