@@ -49,7 +49,7 @@ class CameraFeed:
         self.name = f"camera {what}" if what.isdecimal() else what
         if not self.is_file and Path(what).suffix and "://" not in what and "/dev/" not in what:
             raise RenderError(
-                f"{what}: there is no such file; expected a video, or a camera number such as 0"
+                f"{what}: no such file; expected a video, or a camera number such as 0"
             )
         self._changed = threading.Condition()
         self._pixels: Pixels | None = None

@@ -249,7 +249,7 @@ def test_calibrate_prints_every_point_and_writes_the_camera(
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     status, _, err = run(["calibrate", "p.png", *pose], capsys)
-    assert status == 2 and "no display for a window to click points" in err
+    assert status == 2 and "no display for a window in which to click points" in err
     status, _, err = run(["calibrate", "p.png", "--robot", "justin", "--joint-angles", "1",
                           "--points", "p.csv"], capsys)  # fmt: skip
     assert (

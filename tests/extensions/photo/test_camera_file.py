@@ -136,14 +136,15 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
     ("name", "text", "problems"),
     [
         ("c.yaml", FRAME, [
-            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, from a "
-            "calibration",
+            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels from a "
+            "camera calibration",
             "image_width: is required: the size of the images in pixels",
             "image_height: is required: the size of the images in pixels",
         ]),
         ("c.yaml", ROS, [
             "frame: is required: the pose of the camera in the world, 4 x 4 or { xyz = [...], "
-            "quat = [...] }, x to the right, y down, z forward; `sero-mj calibrate` computes it",
+            "quat = [...] }, with x to the right, y down and z forward; `sero-mj calibrate` "
+            "computes it",
         ]),
         ("c.yaml", ROS.replace("plumb_bob", "plum_bob") + FRAME,
          ["distortion_model: found 'plum_bob'; did you mean 'plumb_bob'?; there are plumb_bob, "
