@@ -26,7 +26,7 @@ class Timed(Declaration):
 
     Attributes:
         begin: start time, s.
-        end: end time, s; None for no end.
+        end: end time, s (default: no end).
     """
 
     begin: float = Field(0.0, ge=0)

@@ -112,10 +112,10 @@ def endless_scene(
 def bent_pose(robot: SerialRobot) -> Array:
     """Returns the home pose, or a bent pose if the home pose is singular; shape (n,), rad or m.
 
-    A home pose that is declared, or that has a free base, is always returned. The bent pose is one
-    of a fixed set of random poses within the limits. Its flange is above and in front of the base,
-    its angles are close to home, and it is far from singularities (by the inverse condition number
-    of the Jacobian, with lengths divided by the reach).
+    A declared home pose, and that of a robot with a free base, is always returned. The bent pose is
+    one of a fixed set of random poses within the limits. Its flange is above and in front of the
+    base, its angles are close to home, and it is far from singularities (by the inverse condition
+    number of the Jacobian, with lengths divided by the reach).
     """
     if robot.joint_angles is not None or robot.free_base:
         return robot.home

@@ -213,7 +213,7 @@ class Controller:
 
     @property
     def group(self) -> tuple[object, ...] | None:
-        """Key that is equal for controllers that `joined` can join; None if it is unsupported."""
+        """Key that is equal for controllers that `joined` can join; None if it cannot join any."""
         return None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:

@@ -47,7 +47,7 @@ from .robot_models import RobotModels
 # Minimum growth rate of unstable modes, 1/s. Slower growth is not caused by the time step, but by
 # rounding, which splits the double eigenvalue of joints without stiffness.
 _SLOW = 0.5
-_MAX_DENSE = 16  # maximum number of joints for which one dense product takes less time than many
+_MAX_DENSE = 16  # maximum number of joints for which one dense product is faster than one per joint
 
 
 @dataclass(frozen=True, eq=False)

@@ -78,7 +78,7 @@ def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]
 
 
 class WayPoints(JointTargetMotion):
-    """Moves from one way point to the next, where all joints start and arrive together.
+    """Moves the joints from one way point to the next. All joints start and arrive together.
 
     Exactly one of `times` and `speed` must be given.
 
