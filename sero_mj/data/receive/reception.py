@@ -59,7 +59,7 @@ class Timeline:
 
     @property
     def step(self) -> float | None:
-        """Time step of a simulation in seconds; None for other sources. `advance_to` is slow."""
+        """Time step in s of a simulation, whose `advance_to` is slow; None for other sources."""
         return None
 
     def advance_to(self, time: float) -> None:
