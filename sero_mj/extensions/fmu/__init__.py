@@ -1,5 +1,5 @@
 """Controllers that are Functional Mock-up Units, exported by Simulink, Dymola or OpenModelica.
 
-The controller kind `fmu` runs an FMU file.
+In: an FMU file. Out: the controller kind `fmu`.
 Open first: `fmu.py`.
 """
