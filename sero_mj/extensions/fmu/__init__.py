@@ -1,5 +1,5 @@
 """Controllers that are Functional Mock-up Units, exported by Simulink, Dymola or OpenModelica.
 
-In: an FMU file. Out: the controller kind `fmu`.
+The controller kind `fmu` runs an FMU file.
 Open first: `fmu.py`.
 """
