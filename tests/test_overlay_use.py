@@ -244,7 +244,9 @@ def test_unknown_names_are_rejected(
 
 
 def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
-    message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
+    message = (
+        r"^arm\.joint_angles: the joint angles of arm come from your data. Set data\.qpos instead$"
+    )
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 
