@@ -86,7 +86,7 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
     ("key", "message"),
     [
         ("lwr.dynamics.mas_scale", "unknown key; did you mean 'mass_scale'?"),
-        ("lwr.torque_limits[9]", "'torque_limits' has no element [9]; the last is [6]"),
+        ("lwr.torque_limits[9]", "'torque_limits' has no element [9]; it has 7, counted from [0]"),
         ("lwr.name[0]", "'name' is not a list; set it as a whole"),
         (
             "lwr.dynamics.coulom_friction[1]",

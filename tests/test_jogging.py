@@ -79,7 +79,8 @@ def test_carrier_holds_the_robots_mounted_on_it() -> None:
 def test_floating_robot_has_no_gravity_torques() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
     with raises_with(
-        key="robots.lwr", reason="has a free base, and cannot hold itself against gravity"
+        key="robots.lwr",
+        reason="joint torques cannot hold a robot with a free base against gravity",
     ):
         GravityTorques({"lwr": robot})
 

@@ -250,7 +250,7 @@ def test_simulation_restarts_after_an_error() -> None:
     panel.build(ui)
     assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
     panel.build(ScriptedWidgets({"restart": True}))
-    assert messages == ["from the declared pose"]
+    assert messages == ["restarted from the initial pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
     assert played.lwr.control == "joint_impedance"
