@@ -28,7 +28,7 @@ from sero_mj.viewer.program.viewer import Viewer, _to_show
         ("lwr", {"size": (9, 9)}, "size: found [9, 9]; it is for a window, and this is a page"),
         ("lwr", {"full_screen": True}, "full_screen: found true; it is for a window"),
         ("lwr", {"port": "80"}, "port '80': expected 1 to 65535"),
-        ("lwr", {"camera": 5}, "camera: found 5; expected a name or azimuth,elevation,distance"),
+        ("lwr", {"camera": 5}, "camera: found 5; expected the name of a camera, or azimuth,"),
         ("lwr", {"web": False, "port": 8080}, "port: found 8080; only web pages have"),
         ("lwr", {"web": False, "host": "::"}, "host: found '::'; only web pages have"),
     ],
@@ -42,7 +42,7 @@ def test_unsupported_options_are_rejected(
 
 
 def test_robot_alone_is_rejected_as_scene() -> None:
-    with pytest.raises(UsageError, match=r"found SerialRobot; .*; Scene\(robots=\[...\]\) holds"):
+    with pytest.raises(UsageError, match=r"found SerialRobot; .*; use Scene\(robots="):
         sero_mj.view(SerialRobot.from_model("lwr"), web=True)  # type: ignore[arg-type]
 
 
@@ -59,7 +59,7 @@ def test_overlay_has_the_look_of_its_model() -> None:
     model = mujoco.MjModel.from_xml_string(f"<mujoco><worldbody>{joint}</worldbody></mujoco>")
     overlay = sero_mj.overlay(model, mujoco.MjData(model))
     with pytest.raises(
-        UsageError, match="look: found 'dark'; the look of an overlay is that of its model"
+        UsageError, match="look: found 'dark'; an overlay always has the look of its model"
     ):
         sero_mj.view(overlay, web=True, look="dark")
 
