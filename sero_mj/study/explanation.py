@@ -30,11 +30,33 @@ Kind = Literal[
     "masses",
     "encoder",
     "stuck",
+    "swap",
+    "order",
+    "scale",
     "unexplained",
 ]
-Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", "sensor or drive"]
+Part = Literal[
+    "torque sensor",
+    "drive",
+    "joint",
+    "flange",
+    "links",
+    "encoder",
+    "sensor or drive",
+    "angles",
+    "measured torques",
+    "commanded torques",
+    "torques",
+    "signals",
+]
 _SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
-FLANGE, LINKS = "flange", "links"
+# Recorded signals; `torques` are measured and commanded ones, `signals` are all of them.
+LOGGED: tuple[Part, ...] = (
+    "angles", "measured torques", "commanded torques", "torques", "signals",
+)  # fmt: skip
+FLANGE, LINKS, ALL_JOINTS = "flange", "links", "all joints"
+# Factors of units that logs and routes confuse, with their names.
+_UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
 # Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
 # the sign of the size.
@@ -46,11 +68,13 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
-        part: faulty part of the robot, for example `torque sensor`.
+        joint: name of the joint; `flange` for a payload, `links` for the masses of all links,
+            `all joints` for a log that is wrong for all joints.
+        part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), or unexplained peak (Nm).
+            (deg or m), stuck torque (Nm), unexplained peak (Nm), factor of a logged signal, or number
+            of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
@@ -62,6 +86,7 @@ class Explanation:
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
+        alternatives: other faults of the log that the motion does not distinguish from this one.
     """
 
     joint: str
@@ -78,6 +103,7 @@ class Explanation:
     joints: tuple[str, ...] = ()
     is_difference: bool = False
     is_second: bool = False
+    alternatives: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -110,13 +136,32 @@ class Explanation:
             "stuck": stuck,
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
-        return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
+        text = self._of_log if part in LOGGED else texts[self.kind]
+        others = "".join(f"; or {each}" for each in self.alternatives)
+        return f"{self.kind}: {text}{', in B' if self.is_second else ''}{others}"
+
+    @property
+    def _of_log(self) -> str:
+        # What is wrong with the recorded columns.
+        count = len(self.joints)
+        names = ", ".join(self.joints[:-1]) + " and " * (count > 1) + self.joints[-1]
+        place = "in the log of all joints" if self.joint == ALL_JOINTS else f"in the log of {names}"
+        if self.kind == "sign":
+            return f"wrong sign of the {self.part} {place}"
+        if self.kind == "swap":
+            return f"the {self.part} of {names} are exchanged in the log"
+        if self.kind == "order":
+            column = self.joints[round(self.size)]
+            return f"the {self.part} of {self.joints[0]} are in the column of {column}, and so on"
+        named = [name for factor, name in _UNITS if abs(self.size / factor - 1.0) < 0.01]
+        unit = f" ({named[0]})" if named else ""
+        return f"{self.part} {self.size:.4g} times too large {place}{unit}"
 
     @property
     def short(self) -> str:
         """The kind and size of the fault, as text for figures."""
         of_second = " in B" if self.is_second else ""
-        if self.kind in ("sign", "stuck", "unexplained"):
+        if self.kind in ("sign", "stuck", "swap", "order", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
         is_signed = self.kind in _SIGNED or self.is_difference

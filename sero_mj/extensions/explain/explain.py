@@ -42,6 +42,7 @@ from ...study.explanation import (
     Explanation,
 )
 from .explain_search import MIN_ROWS, Search
+from .log_faults import log_faults
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
@@ -60,6 +61,13 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     `found` contains the residuals of the robot if they are already known.
     """
     found = found or torque_residuals(log, robot)
+    faults, log = log_faults(log, robot, found)
+    if faults:
+        found = replace(torque_residuals(log, robot), no_model=found.no_model)
+    return [*faults, *_explain_correct(log, robot, found)]
+
+
+def _explain_correct(log: RunLog, robot: str, found: TorqueResiduals) -> list[Explanation]:
     # A run that a runaway joint aborts ends too early for the normal low-pass filter.
     end = log.between(float(log.times[-1]) - _ENDING, None)
     looped = found.torque_control
