@@ -174,10 +174,15 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
-    first = torque_residuals(a, robots[0])
+    first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
+    faults, a = log_faults(a, robots[0], first)
+    faults_of_b, b = log_faults(b, robots[1], second)
+    if faults:
+        first = torque_residuals(a, robots[0])
     second = torque_residuals(b, robots[1], times=first.times - offset)
     moved = replace(second, times=first.times, noise=second.noise.later(offset))
-    return explain_pair(first, moved)
+    of_b = [replace(each, begin=each.begin + offset, is_second=True) for each in faults_of_b]
+    return [*faults, *of_b, *explain_pair(first, moved)]
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:

@@ -27,7 +27,7 @@ from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog, event_of
 from ...study.explanation import ALL_JOINTS, MAX_CONFIDENCE, Explanation, Kind, Part
 from .goodness import limited
-from .torque_residuals import TorqueResiduals, _link_torques
+from .torque_residuals import TorqueResiduals, link_model, link_torques
 
 _ROWS = 60  # rows at which hypotheses are judged
 _MIN_ROWS = 12
@@ -35,18 +35,20 @@ _SUSPECTS = 12  # maximum number of joints whose signs and pairs are tried
 _MAX_FAULTS = 3  # of the log, one after the other
 _MIN_SHARE = 0.03  # largest remaining share of the torques of a correct run
 _FLOOR = 1e-3  # share of the torque limit that is regarded as zero
+_NOISE = 0.2  # share of white noise that passes the low-pass filter
 # Remaining shares (link and motor side) below which hypotheses are equally good.
 _EQUAL = np.array([0.005, 0.03])
-# Prices in units of the score, which prefer simple hypotheses and those of the robot.
-_PRICE, _PRICE_OF_FACTOR, _PRICE_OF_JOINT = 2.0, 3.0, 1.0
+# Prices of a fault and of a fault with fitted parameters, in units of the score.
+_PRICE, _PRICE_OF_FIT, _OF_JOINT = 2.0, 3.0, 3.0
 _ALTERNATIVE, _SAME = 1.0, 0.2  # differences of scores
 _MIN_RATIO, _MIN_PROBABILITY = 10.0, 0.9  # to accept a hypothesis
 _CHANGE = 0.5  # relative change of a squared share that a hypothesis affects
+_CLOSE = 0.05  # relative difference of factors that are regarded as equal
 _BEAM = 5  # sets of signs that are extended by one more joint
 _ROUNDS, _STEP = 6, 1e-3  # of a fitted factor or offset
 _FACTORS = (0.5, 0.7, 0.85, 1.2, 1.4, 2.0)  # start values of the factor of an angle
 _GEARS = 1.2 ** -np.arange(3.0, 31.0)  # the same, if the angle exceeds its range: to 1/237
-_MAX_OFFSET, _MAX_MASSES = 0.5, 0.5  # rad or m; share
+_MAX_OFFSET, _MAX_MASSES, _MIN_GAIN = 0.5, 0.5, 0.05  # rad or m; shares
 _DEGREES, _MILLI = np.pi / 180.0, 1e-3
 
 _ANGLES, _MEASURED, _COMMANDED = "joint_angles", "torques", "commanded_torques"
@@ -79,6 +81,12 @@ class _Hypothesis:
     def of(self, signal: str, values: Array) -> Array:
         """Returns the correct signal, from a recorded one with shape (..., n)."""
         return values[..., self.order] * self.factors if signal in self.signals else values
+
+    def resembles(self, other: _Hypothesis) -> bool:
+        """Whether a simpler hypothesis has almost the same factors for the same columns."""
+        same = self.signals == other.signals and self.order == other.order
+        same &= self.price > other.price
+        return same and bool(np.allclose(self.factors, other.factors, rtol=_CLOSE))
 
     @property
     def joints(self) -> list[int]:
@@ -123,6 +131,7 @@ class _Rows:
         torques: measured and commanded torques, shape (2, K, n).
         payload: torques per unit of the parameters of a payload, shape (K, n, 10).
         judged: whether each joint is judged on the link side and the motor side, shape (2, n).
+        noise: standard deviations of the filtered measured torques, shape (n,), Nm or N.
         floor: torques that are regarded as zero, shape (n,), Nm or N.
     """
 
@@ -132,7 +141,9 @@ class _Rows:
     torques: Array
     payload: Array
     judged: Array
+    noise: Array
     floor: Array
+    torque_control: bool
 
     @classmethod
     def of(cls, found: TorqueResiduals) -> _Rows | None:
@@ -151,13 +162,14 @@ class _Rows:
         judged = np.stack([known & found.has_model, known & has_commands])
         return cls(robot, motion.links[:, rows], np.nan_to_num(motor[rows]),
                    np.nan_to_num(torques[:, rows]), found.torques.payload[rows],
-                   judged.astype(float), _FLOOR * found.scale)  # fmt: skip
+                   judged.astype(float), _NOISE * np.median(found.noise.roughness, axis=0),
+                   _FLOOR * found.scale, found.torque_control)  # fmt: skip
 
     def corrected(self, it: _Hypothesis) -> _Rows:
         motor = np.moveaxis(it.of(_ANGLES, np.moveaxis(self.motor, -1, 0)), 0, -1)
         torques = [it.of(_MEASURED, self.torques[0]), it.of(_COMMANDED, self.torques[1])]
         return replace(self, motion=it.of(_ANGLES, self.motion), motor=motor,
-                       torques=np.stack(torques))  # fmt: skip
+                       torques=np.stack(torques), noise=it.of(_MEASURED, self.noise))  # fmt: skip
 
 
 class _Trial:
@@ -166,13 +178,15 @@ class _Trial:
     def __init__(self, rows: _Rows) -> None:
         self.rows, self.n = rows, rows.robot.n
         self.has_link, self.has_motor = rows.judged.any(axis=1).tolist()
+        self.links = link_model(rows.robot)
         self.basis = np.linalg.qr(np.moveaxis(rows.motor, 1, 0))[0]  # (n, K, 3)
         self.model = self._models([rows.motion])[0]
-        self.before = self._shares(rows.torques, self.model, range(self.n))
+        self.before = self._shares(rows.torques, rows.noise, self.model, range(self.n))
 
     def best(self) -> tuple[_Hypothesis, Explanation] | None:
         """Returns the fault of the log, if it explains the torques far better than the others."""
-        if self.before.max() < _MIN_SHARE**2:
+        noise = self.rows.noise**2 / (self.rows.torques[0] ** 2).mean(axis=0)
+        if (self.before < _MIN_SHARE**2 + 3.0 * noise).all():
             return None
         tried: dict[_Hypothesis, Array] = {}
         for hypotheses in self._groups():
@@ -182,13 +196,13 @@ class _Trial:
         scores = {each: self._score(shares) for each, shares in tried.items()}
         totals = {each: score + each.price for each, score in scores.items()}
         best = min(totals, key=lambda each: totals[each])
-        simpler = {
-            each: total for each, total in totals.items()
-            if len(each.joints) <= len(best.joints) or scores[each] < scores[best] - _SAME
-        }  # fmt: skip
+        simpler = {each: total for each, total in totals.items() if not (
+            len(each.joints) > len(best.joints) and scores[each] > scores[best] - _SAME
+            or each.price == _PRICE_OF_FIT and any(map(each.resembles, tried))
+        )}  # fmt: skip
         alternatives = [each for each, total in simpler.items()
                         if each != best and total < totals[best] + _ALTERNATIVE]  # fmt: skip
-        rivals = [self._score(self.before), *self._of_robot()]
+        rivals = [min(self._of_robot())]
         of_log, of_robot = (
             np.exp(np.clip(totals[best] - np.array(list(each)), -60.0, 60.0))
             for each in (simpler.values(), rivals)
@@ -270,7 +284,7 @@ class _Trial:
                 [*_GEARS, *-_GEARS] if largest[joint] > 1.05 * allowed[joint] else []))
             if largest[joint] * abs(factor) < 1.05 * allowed[joint]
         ]  # fmt: skip
-        made = [self._make("scale", (_ANGLES,), _PRICE_OF_FACTOR, factors=self._at([j], factor))
+        made = [self._make("scale", (_ANGLES,), _PRICE_OF_FIT, factors=self._at([j], factor))
                 for j, factor in starts]  # fmt: skip
         judged = self._judged(made)
         best: dict[int, _Hypothesis] = {}
@@ -281,7 +295,7 @@ class _Trial:
             joints, [each.factors[joint] for joint, each in best.items()], self._scaled
         )
         for joint, factor in zip(joints, fitted, strict=True):
-            yield self._make("scale", (_ANGLES,), _PRICE_OF_FACTOR,
+            yield self._make("scale", (_ANGLES,), _PRICE_OF_FIT,
                              factors=self._at([joint], factor))  # fmt: skip
 
     def _sets(self) -> list[_Signals]:
@@ -317,7 +331,7 @@ class _Trial:
                 factor = _median_gain(measured, commanded, self.rows.judged[1])
             yield self._make("sign", signals, factors=-np.ones(self.n))
             if factor and np.isfinite(factor):
-                yield self._make("scale", signals, _PRICE_OF_FACTOR, factors=np.full(self.n, factor))
+                yield self._make("scale", signals, _PRICE_OF_FIT, factors=np.full(self.n, factor))
         for joint in self._suspects() if self.has_motor and self.has_link else ():
             yield self._make("sign", (_MEASURED, _COMMANDED), factors=self._at([joint], -1.0))
 
@@ -328,7 +342,7 @@ class _Trial:
         stacked = np.concatenate(motions, axis=1)
         if not self.has_link:
             return np.zeros((len(motions), *motions[0].shape[1:]))
-        return _link_torques(self.rows.robot, *stacked).reshape(len(motions), -1, self.n)
+        return link_torques(self.links, *stacked).reshape(len(motions), -1, self.n)
 
     def _judged(self, hypotheses: Iterable[_Hypothesis]) -> dict[_Hypothesis, Array]:
         # Squared shares that remain with each hypothesis.
@@ -347,17 +361,22 @@ class _Trial:
             model = models[motions[each.order, each.factors]] if is_moved else self.model
             measured, commanded = self.rows.torques
             torques = np.stack([each.of(_MEASURED, measured), each.of(_COMMANDED, commanded)])
-            found[each] = self._shares(torques, model, each.order if is_moved else range(self.n))
+            noise, order = each.of(_MEASURED, self.rows.noise), range(self.n)
+            found[each] = self._shares(torques, noise, model, each.order if is_moved else order)
         return found
 
-    def _shares(self, torques: Array, model: Array, order: Iterable[int]) -> Array:
+    def _shares(self, torques: Array, noise: Array, model: Array, order: Iterable[int]) -> Array:
         # Squared shares that remain of each joint on the link side and the motor side, (2, n).
         measured, commanded = torques
         motor = _without(commanded - measured, self.basis[[*order]])
-        squares, floor = (torques**2).sum(axis=1), len(model) * self.rows.floor**2
-        sizes = squares[0] + np.stack([(model**2).sum(axis=0), squares[1]]) + floor
-        left = np.stack([((measured - model) ** 2).sum(axis=0), (motor**2).sum(axis=0)])
-        return np.asarray(self.rows.judged * np.nan_to_num(left) / sizes)
+        left = np.stack([((measured - model) ** 2).mean(axis=0), (motor**2).mean(axis=0)])
+        left = np.nan_to_num(left) + noise**2
+        shares = left / self._sizes(measured, np.stack([model, commanded]))
+        return np.asarray(self.rows.judged * shares)
+
+    def _sizes(self, measured: Array, others: Array) -> Array:
+        # Mean squares of measured and other torques (..., K, n), (..., n).
+        return (measured**2).mean(axis=0) + (others**2).mean(axis=-2) + self.rows.floor**2
 
     def _score(self, shares: Array) -> float:
         return float((np.log(shares + _EQUAL[:, None] ** 2) * self.rows.judged).sum())
@@ -373,40 +392,37 @@ class _Trial:
             weights = 1.0 / np.sqrt((measured**2).mean(axis=0) + self.rows.floor**2)
             weights = weights * self.rows.judged[0]
             lefts += [
-                (_without_common(link, self.rows.payload, weights), _PRICE_OF_FACTOR),
-                (_without_common(link, self.model[..., None], weights, _MAX_MASSES), _PRICE_OF_JOINT),
-                (_without_common(link, self._by_gravity(), weights), _PRICE_OF_FACTOR),
+                (_without_common(link, self.rows.payload, weights), _PRICE_OF_FIT),
+                (_without_common(link, self.model[..., None], weights, _MAX_MASSES), _PRICE),
+                (_without_common(link, self._by_gravity(), weights), _PRICE),
             ]
             offsets = self._fitted(range(self.n), np.zeros(self.n), self._shifted)
             motions = [self._shifted(joint, offset) for joint, offset in enumerate(offsets)
                        if abs(offset) < _MAX_OFFSET]  # fmt: skip
             if motions:
-                lefts += [(measured - each, _PRICE_OF_JOINT) for each in self._models(motions)]
+                lefts += [(measured - each, _PRICE) for each in self._models(motions)]
         return [price + self._of_joints(left) for left, price in lefts]
 
     def _of_joints(self, link: Array) -> float:
-        # The score after gains and biases of each joint, where they are worth their price.
+        # The score of link residuals, with gains and biases of joints that are worth their price.
         measured, commanded = self.rows.torques
         one = np.ones_like(measured)
-        motor = _without(commanded - measured, self.basis)
-        sizes = (measured**2).sum(axis=0) + np.stack([
-            (self.model**2).sum(axis=0), (commanded**2).sum(axis=0)
-        ]) + len(link) * self.rows.floor**2  # fmt: skip
-        result = 0.0
-        for side, (left, columns) in enumerate(
-            ((link, (self.model, one)), (motor, (commanded, measured, one)))
-        ):
-            scores = []
-            for column in (None, *columns):
-                rest = left
-                if column is not None:
-                    parts = [column] if side == 0 else [_without(column, self.basis)]
-                    rest = _without(left, np.linalg.qr(np.stack(parts, axis=-1).swapaxes(0, 1))[0])
-                share = np.nan_to_num((rest**2).sum(axis=0) / sizes[side])
-                price = 0.0 if column is None else _PRICE_OF_JOINT
-                scores.append(np.log(share + _EQUAL[side] ** 2) + price)
-            result += float((np.min(scores, axis=0) * self.rows.judged[side]).sum())
-        return result
+        totals = []
+        for rest, correct, price in _one_fault(link, measured - link, one, measured):
+            sensed = measured if self.rows.torque_control else correct
+            motor = _without(commanded - sensed, self.basis)
+            others = [_without(each, self.basis) for each in (commanded, one)]
+            of_link = self._log_shares(0, rest, measured - rest) + price
+            totals += [
+                (np.stack([of_link, self._log_shares(1, left, commanded) + more]) * self.rows.judged)
+                .sum(axis=0) for left, _, more in _one_fault(motor, *others, motor)
+            ]  # fmt: skip
+        return float(np.min(totals, axis=0).sum())
+
+    def _log_shares(self, side: int, left: Array, other: Array) -> Array:
+        squares = np.nan_to_num(left**2).mean(axis=0) + self.rows.noise**2
+        shares = squares / self._sizes(self.rows.torques[0], other)
+        return np.asarray(np.log(shares + _EQUAL[side] ** 2))
 
     def _by_gravity(self) -> Array:
         # Link torques per component of gravity in the base frame, (K, n, 3).
@@ -416,7 +432,7 @@ class _Trial:
             base = np.eye(4)
             base[:3, :3] = np.roll(np.eye(3), 2 - axis, axis=0)  # this axis points up
             turned = robot.model_copy(update={"base_frame": base})
-            columns.append(_link_torques(turned, rows.motion[0], still, still))
+            columns.append(link_torques(link_model(turned), rows.motion[0], still, still))
         return np.stack(columns, axis=-1)
 
     # Fits
@@ -465,6 +481,19 @@ class _Trial:
             place, it.kind, _PARTS[it.signals], size, "", np.nan, confidence, 0.0,
             from_start=True, joints=tuple(names[joint] for joint in joints),
         )  # fmt: skip
+
+
+def _one_fault(
+    left: Array, gained: Array, one: Array, measured: Array
+) -> Iterable[tuple[Array, Array, float]]:
+    # Residuals (K, n), correct torques and price without a fault, with a gain, and with a bias.
+    yield left, measured, 0.0
+    squares = np.maximum((gained**2).sum(axis=0), 1e-12)
+    gain = 1.0 + (left * gained).sum(axis=0) / squares
+    gain = np.where(np.abs(gain) > _MIN_GAIN, gain, 1.0)
+    yield left - (gain - 1.0) * gained, measured / gain, _OF_JOINT
+    bias = (left * one).sum(axis=0) / np.maximum((one**2).sum(axis=0), 1e-12)
+    yield left - bias * one, measured - bias, _OF_JOINT
 
 
 def _median_gain(values: Array, expected: Array, judged: Array) -> float:

@@ -412,16 +412,24 @@ class _LowPass:
         return np.asarray(windows @ self._kernel)
 
 
-def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    # M(q) a + C(q, v) v + g(q) of the links alone, (T, n), Nm or N.
-    model = RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
-    torques, less = np.zeros((len(q), robot.n)), np.zeros(robot.n)
+def link_model(robot: SerialRobot) -> RobotModel:
+    """Returns the model of a robot whose base does not move."""
+    return RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
+
+
+def link_torques(model: RobotModel, q: Array, v: Array, a: Array) -> Array:
+    """Returns M(q) a + C(q, v) v + g(q) of the links alone, shape (T, n), Nm or N."""
+    torques, less = np.zeros(q.shape), np.zeros(q.shape[1])
     for k in np.flatnonzero(np.isfinite(q + v + a).all(axis=1)):
         model.update(q[k], v[k])
         model.write_inverse_dynamics(v[k], a[k], torques[k], less)
         torques[k] -= less
     torques[~np.isfinite(q + v + a).all(axis=1)] = np.nan
     return torques
+
+
+def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
+    return link_torques(link_model(robot), q, v, a)
 
 
 def _jumps(a: Array) -> Bools:
