@@ -73,8 +73,8 @@ class Explanation:
         part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), unexplained peak (Nm), factor of a logged signal, or number
-            of columns by which the order is shifted.
+            (deg or m), stuck torque (Nm), unexplained peak (Nm), factor of a logged signal, or
+            number of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.

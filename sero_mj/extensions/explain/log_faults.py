@@ -1,7 +1,7 @@
 """`log_faults`: faults of the recorded signals themselves, such as swapped columns.
 
 A wrong log makes a correct robot look broken, so these faults are searched before those of the
-robot. Each hypothesis assigns a recorded column and a factor to each joint, for one or more signals.
+robot. Each hypothesis assigns a recorded column and a factor to each joint, for some signals.
 It is judged by what remains of both sides of each joint, as a share of the torques:
 
     link side     |measured - model|^2 / (|measured|^2 + |model|^2)
@@ -94,9 +94,7 @@ class _Hypothesis:
         return [k for k, (column, factor) in enumerate(each) if column != k or factor != 1.0]
 
 
-def log_faults(
-    log: RunLog, name: str, found: TorqueResiduals
-) -> tuple[list[Explanation], RunLog]:
+def log_faults(log: RunLog, name: str, found: TorqueResiduals) -> tuple[list[Explanation], RunLog]:
     """Returns the faults of a robot's recorded signals, and the log without them.
 
     Args:
@@ -185,7 +183,7 @@ class _Trial:
 
     def best(self) -> tuple[_Hypothesis, Explanation] | None:
         """Returns the fault of the log, if it explains the torques far better than the others."""
-        noise = self.rows.noise**2 / (self.rows.torques[0] ** 2).mean(axis=0)
+        noise = self.rows.noise**2 / self._sizes(self.rows.torques[0], self.model)
         if (self.before < _MIN_SHARE**2 + 3.0 * noise).all():
             return None
         tried: dict[_Hypothesis, Array] = {}
@@ -197,8 +195,8 @@ class _Trial:
         totals = {each: score + each.price for each, score in scores.items()}
         best = min(totals, key=lambda each: totals[each])
         simpler = {each: total for each, total in totals.items() if not (
-            len(each.joints) > len(best.joints) and scores[each] > scores[best] - _SAME
-            or each.price == _PRICE_OF_FIT and any(map(each.resembles, tried))
+            (len(each.joints) > len(best.joints) and scores[each] > scores[best] - _SAME)
+            or (each.price == _PRICE_OF_FIT and any(map(each.resembles, tried)))
         )}  # fmt: skip
         alternatives = [each for each, total in simpler.items()
                         if each != best and total < totals[best] + _ALTERNATIVE]  # fmt: skip
@@ -231,7 +229,8 @@ class _Trial:
         yield self._of_torques()
 
     def _make(self, kind: Kind, signals: _Signals, price: float = _PRICE, *,
-              order: Sequence[int] | None = None, factors: Array | None = None) -> _Hypothesis:  # fmt: skip
+              order: Sequence[int] | None = None,
+              factors: Array | None = None) -> _Hypothesis:  # fmt: skip
         order = range(self.n) if order is None else order
         factors = np.ones(self.n) if factors is None else factors
         return _Hypothesis(kind, signals, tuple(order), tuple(factors.tolist()), price)
@@ -243,7 +242,8 @@ class _Trial:
 
     def _suspects(self) -> list[int]:
         # Joints whose torques differ most; a wrong column has an effect on its own joint.
-        return np.sort(np.argsort(-self.before.sum(axis=0))[:_SUSPECTS]).tolist()
+        order = np.argsort(-self.before.sum(axis=0))
+        return sorted(int(joint) for joint in order[:_SUSPECTS])
 
     def _of_angles(self) -> Iterable[_Hypothesis]:
         revolute = np.array(self.rows.robot.types) == "revolute"
@@ -268,7 +268,7 @@ class _Trial:
             yield from made
             scores = {each: self._score(shares) for each, shares in self._judged(made).items()}
             best = sorted(scores, key=lambda each: scores[each])[:_BEAM]
-            if not best or len(made[best[0]]) > 3 and scores[best[0]] > lowest:
+            if not best or (len(made[best[0]]) > 3 and scores[best[0]] > lowest):
                 return
             lowest = min(lowest, scores[best[0]])
             beam = [made[each] for each in best]
@@ -299,7 +299,7 @@ class _Trial:
                              factors=self._at([joint], factor))  # fmt: skip
 
     def _sets(self) -> list[_Signals]:
-        of_torques = [(_MEASURED,)]
+        of_torques: list[_Signals] = [(_MEASURED,)]
         if self.has_motor:
             of_torques += [(_COMMANDED,), (_MEASURED, _COMMANDED)]
         return of_torques
@@ -348,7 +348,7 @@ class _Trial:
         # Squared shares that remain with each hypothesis.
         each_once = list(dict.fromkeys(hypotheses))
         motions: dict[tuple[object, object], int] = {}
-        moved = []
+        moved: list[Array] = []
         for each in each_once:
             key = each.order, each.factors
             if _ANGLES in each.signals and key not in motions:
@@ -376,7 +376,8 @@ class _Trial:
 
     def _sizes(self, measured: Array, others: Array) -> Array:
         # Mean squares of measured and other torques (..., K, n), (..., n).
-        return (measured**2).mean(axis=0) + (others**2).mean(axis=-2) + self.rows.floor**2
+        squares = (measured**2).mean(axis=0) + (others**2).mean(axis=-2)
+        return np.asarray(squares + self.rows.floor**2)
 
     def _score(self, shares: Array) -> float:
         return float((np.log(shares + _EQUAL[:, None] ** 2) * self.rows.judged).sum())
@@ -413,10 +414,9 @@ class _Trial:
             motor = _without(commanded - sensed, self.basis)
             others = [_without(each, self.basis) for each in (commanded, one)]
             of_link = self._log_shares(0, rest, measured - rest) + price
-            totals += [
-                (np.stack([of_link, self._log_shares(1, left, commanded) + more]) * self.rows.judged)
-                .sum(axis=0) for left, _, more in _one_fault(motor, *others, motor)
-            ]  # fmt: skip
+            for left, _, more in _one_fault(motor, others[0], others[1], motor):
+                of_motor = self._log_shares(1, left, commanded) + more
+                totals.append((np.stack([of_link, of_motor]) * self.rows.judged).sum(axis=0))
         return float(np.min(totals, axis=0).sum())
 
     def _log_shares(self, side: int, left: Array, other: Array) -> Array:
@@ -463,7 +463,7 @@ class _Trial:
             slopes = (then - now) / steps[:, None, None]
             products = (slopes * (measured - now) * weights).sum(axis=(1, 2))
             values = values + products / np.maximum((slopes**2 * weights).sum(axis=(1, 2)), 1e-12)
-        return values.tolist()
+        return [float(value) for value in values]
 
     # Explanations
 
