@@ -102,7 +102,7 @@ def log_faults(log: RunLog, name: str, found: TorqueResiduals) -> tuple[list[Exp
     """
     faults: list[Explanation] = []
     rows = _Rows.of(found)
-    for _ in range(_MAX_FAULTS if rows is not None else 0):
+    while rows is not None and len(faults) < _MAX_FAULTS:
         best = _Trial(rows).best()
         if best is None:
             break
@@ -175,7 +175,7 @@ class _Trial:
 
     def __init__(self, rows: _Rows) -> None:
         self.rows, self.n = rows, rows.robot.n
-        self.has_link, self.has_motor = rows.judged.any(axis=1).tolist()
+        self.has_link, self.has_motor = (bool(side.any()) for side in rows.judged)
         self.links = link_model(rows.robot)
         self.basis = np.linalg.qr(np.moveaxis(rows.motor, 1, 0))[0]  # (n, K, 3)
         self.model = self._models([rows.motion])[0]

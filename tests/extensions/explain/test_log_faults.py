@@ -152,6 +152,14 @@ def test_faults_of_the_robot_are_not_faults_of_the_log(
     assert found_in(moved(robot, seed, json.dumps(described)))[0] == []
 
 
+def test_wrong_columns_of_a_second_robot_are_named() -> None:
+    log = moved("fr3", 1)
+    for case in ("angle", "angles exchanged", "mNm"):
+        kind, part, signals, order, factors = CASES[case]
+        (fault,), _ = found_in(columns(log, signals, order, factors))
+        assert (fault.kind, fault.part) == (kind, part)
+
+
 @pytest.mark.parametrize("mass", sampled([4.0, 1.0], 1))
 def test_payload_is_not_a_fault_of_the_log(mass: float) -> None:
     load = {"kind": "payload", "robot": "lwr", "mass": mass, "center_of_mass": [0.02, 0.0, 0.1]}
