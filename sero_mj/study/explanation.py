@@ -30,6 +30,20 @@ Kind = Literal[
     "masses",
     "encoder",
     "stuck",
+    "tilt",
+    "link mass",
+    "link center",
+    "encoder scale",
+    "elasticity",
+    "backlash",
+    "spring",
+    "force",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+    "saturation",
+    "clock",
+    "gravity compensation",
     "swap",
     "order",
     "scale",
@@ -40,7 +54,10 @@ Part = Literal[
     "drive",
     "joint",
     "flange",
+    "link",
     "links",
+    "base",
+    "commands",
     "encoder",
     "sensor or drive",
     "angles",
@@ -49,12 +66,25 @@ Part = Literal[
     "torques",
     "signals",
 ]
-_SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
+_SIGNED: tuple[Kind, ...] = (
+    "bias",
+    "friction",
+    "payload",
+    "masses",
+    "encoder",
+    "link mass",
+    "encoder scale",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+)
+# Places of faults that do not concern a single joint.
+FLANGE, LINKS, BASE, COMMANDS = PLACES = "flange", "links", "base", "commands"
 # Recorded signals; `torques` are measured and commanded ones, `signals` are all of them.
 LOGGED: tuple[Part, ...] = (
     "angles", "measured torques", "commanded torques", "torques", "signals",
 )  # fmt: skip
-FLANGE, LINKS, ALL_JOINTS = "flange", "links", "all joints"
+ALL_JOINTS = "all joints"
 # Factors of units that logs and routes confuse, with their names.
 _UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
@@ -68,25 +98,29 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint; `flange` for a payload, `links` for the masses of all links,
-            `all joints` for a log that is wrong for all joints.
+        joint: name of the joint, one of `PLACES`, or `all joints` for a log.
         part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), unexplained peak (Nm), factor of a logged signal, or
-            number of columns by which the order is shifted.
+            (deg or m), stuck torque (Nm), tilt of the base (deg), mass (kg) or shift of the center
+            (m) of one link, joint stiffness (Nm/rad), backlash (deg or m), largest torque of a
+            spring (Nm), force (N), motor inertia (kg m2), change of Coulomb friction during the run
+            (Nm), friction as a share of the link torque (%), torque limit (Nm), drift of a clock
+            (s/s), missing gravity compensation (%), unexplained peak (Nm), factor of a logged
+            signal, or number of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
         begin: start time of the fault, s.
         end: end time of the fault, s; None for the end of the run.
         from_start: whether the fault exists from the start.
-        values: further values: `viscous` friction, and the coordinates `x`, `y`, `z` of a payload's
-            center of mass, m.
+        values: further values: `viscous` friction; `x`, `y`, `z` of a payload's center of mass (m),
+            of the shift of a link's center (m), of a force (N), or of the direction of gravity;
+            `offset` of a clock (s).
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
-        alternatives: other faults of the log that the motion does not distinguish from this one.
+        alternatives: other causes that the motion does not distinguish from this one.
     """
 
     joint: str
@@ -113,9 +147,11 @@ class Explanation:
         """The kind, size and location of the fault, as text."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
-        center = ", ".join(
+        vector = ", ".join(
             f"{round(self.values[axis], 3) + 0.0:.3f}" for axis in "xyz" if axis in self.values
         )
+        about = f"{size:.3g}{_about(error)} {unit}"
+        change = f"{size:+.3g}{_about(error)} {unit}"
         stuck = f"no motion at up to {abs(size):.3g} {unit}"
         if part == "torque sensor":
             stuck = f"constant {size:.4g} {unit} of the {part}"
@@ -130,15 +166,30 @@ class Explanation:
             "friction": f"{size:+.3g}{_about(error)} {unit}, "
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
-            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m in the flange frame",
+            "payload": f"{size:+.3g}{_about(error)} kg at ({vector}) m in the flange frame",
             "encoder": f"offset {size:+.3g}{_about(error)} {unit}",
+            "encoder scale": f"{change} of the motion",
             "masses": f"{size:+.1f}{_about(error)} % relative to the declared masses",
             "stuck": stuck,
+            "tilt": f"base tilted by {about}, gravity along ({vector})",
+            "link mass": f"{change} of the {self._moved}",
+            "link center": f"center of mass of the {self._moved} shifted by ({vector}) m",
+            "elasticity": f"stiffness of {about} between encoder and link",
+            "backlash": f"{about} between encoder and link",
+            "spring": f"torque of up to {abs(size):.3g} {unit} that depends on the angle",
+            "force": f"constant {about} at the {self._moved}, ({vector}) N in the world frame",
+            "motor inertia": change,
+            "friction drift": f"{change} from start to end, "
+            f"{self.values.get('viscous', 0.0):+.2g} {rate}",
+            "load friction": f"{change} of the link torque",
+            "saturation": f"drive limited to {about}",
+            "clock": f"commands late by {1e3 * self.values.get('offset', 0.0):.1f} ms, plus "
+            f"{1e3 * size:.2g}{_about(1e3 * error)} ms per second",
+            "gravity compensation": f"drives lack {about} of the gravity torques",
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
         text = self._of_log if part in LOGGED else texts[self.kind]
-        others = "".join(f"; or {each}" for each in self.alternatives)
-        return f"{self.kind}: {text}{', in B' if self.is_second else ''}{others}"
+        return f"{self.kind}: {text}{', in B' if self.is_second else ''}"
 
     @property
     def _of_log(self) -> str:
@@ -156,6 +207,10 @@ class Explanation:
         named = [name for factor, name in _UNITS if abs(self.size / factor - 1.0) < 0.01]
         unit = f" ({named[0]})" if named else ""
         return f"{self.part} {self.size:.4g} times too large {place}{unit}"
+
+    @property
+    def _moved(self) -> str:
+        return FLANGE if self.part == FLANGE else f"link moved by {self.joint}"
 
     @property
     def short(self) -> str:

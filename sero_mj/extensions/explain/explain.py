@@ -34,10 +34,9 @@ from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
 from ...study.align import Pair
 from ...study.explanation import (
-    FLANGE,
-    LINKS,
     MAX_CONFIDENCE,
     OF_ONE_RUN,
+    PLACES,
     Explainer,
     Explanation,
 )
@@ -237,7 +236,7 @@ def _with_runaway_drives(
         if each.joint in runaway and each.part == "drive" and each.kind != "unexplained"
     ]
     has = {each.joint for each in clear}
-    order = [*names, FLANGE, LINKS]
+    order = [*names, *PLACES]
     return sorted([*clear, *(each for each in explanations if each.joint not in has)],
                   key=lambda each: order.index(each.joint))  # fmt: skip
 
@@ -404,8 +403,15 @@ class TorqueExplainer(Explainer):
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    lines = ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
-             f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
+    lines = []
+    if found.undeclared:
+        keys = ", ".join(found.undeclared)
+        lines.append(
+            f"{found.robot.name} declares no {keys}: they are fitted to this recording, so only "
+            "changes of its drives are visible. Estimate them with `sero-mj identify`."
+        )
+    lines += ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
+              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:
         lines.append("Commands come from a joint torque loop that already compensates friction.")
     if not found.has_model:

@@ -15,6 +15,7 @@ from ...base.frames import Array, Bools
 _FOLDS = 5
 _NOISE = 2.0  # mean square of residuals that is attributed to noise, in squared standard deviations
 # Shares of the torque that remain unexplained, and the highest confidence with each.
+_OF_SMALL, _LARGE = 0.6, 0.5  # highest confidence of a tiny fault; ratio without a limit
 _SHARES = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
 _CONFIDENCES = (0.99, 0.99, 0.95, 0.8, 0.5, 0.3, 0.0)
 
@@ -43,6 +44,14 @@ def unexplained_share(y: Array, X: Array, priors: Array, noise: float = _NOISE) 
     return min(np.sqrt(excess / before), 1.0) if before > 0.0 else 0.0
 
 
-def limited(confidence: float, share: float) -> float:
-    """Returns a confidence, limited by the share of torque that remains unexplained."""
-    return min(confidence, float(np.interp(share, _SHARES, _CONFIDENCES)))
+def limited(confidence: float, share: float, ratio: float = 1.0) -> float:
+    """Returns a confidence, limited by what the explanation achieves.
+
+    Args:
+        confidence: confidence from the odds against other causes.
+        share: share of torque that remains unexplained, from 0 to 1.
+        ratio: size relative to the largest explanation at the same joint, from 0 to 1. What an
+            inexact larger explanation leaves may resemble a small fault.
+    """
+    by_ratio = _OF_SMALL + (1.0 - _OF_SMALL) * ratio / _LARGE
+    return min(confidence, float(np.interp(share, _SHARES, _CONFIDENCES)), by_ratio)

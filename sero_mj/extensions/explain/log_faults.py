@@ -27,7 +27,8 @@ from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog, event_of
 from ...study.explanation import ALL_JOINTS, MAX_CONFIDENCE, Explanation, Kind, Part
 from .goodness import limited
-from .torque_residuals import TorqueResiduals, link_model, link_torques
+from .link_torques import link_model, link_torques
+from .torque_residuals import TorqueResiduals
 
 _ROWS = 60  # rows at which hypotheses are judged
 _MIN_ROWS = 12
@@ -339,10 +340,12 @@ class _Trial:
 
     def _models(self, motions: Sequence[Array]) -> Array:
         # Link torques of motions (3, K, n), (len(motions), K, n).
-        stacked = np.concatenate(motions, axis=1)
+        q, v, a = np.concatenate(motions, axis=1)
         if not self.has_link:
             return np.zeros((len(motions), *motions[0].shape[1:]))
-        return link_torques(self.links, *stacked).reshape(len(motions), -1, self.n)
+        return link_torques(self.rows.robot, q, v, a, model=self.links).reshape(
+            len(motions), -1, self.n
+        )
 
     def _judged(self, hypotheses: Iterable[_Hypothesis]) -> dict[_Hypothesis, Array]:
         # Squared shares that remain with each hypothesis.
@@ -425,14 +428,10 @@ class _Trial:
         return np.asarray(np.log(shares + _EQUAL[side] ** 2))
 
     def _by_gravity(self) -> Array:
-        # Link torques per component of gravity in the base frame, (K, n, 3).
-        rows, robot, still = self.rows, self.rows.robot, np.zeros_like(self.rows.motion[0])
-        columns = []
-        for axis in range(3):
-            base = np.eye(4)
-            base[:3, :3] = np.roll(np.eye(3), 2 - axis, axis=0)  # this axis points up
-            turned = robot.model_copy(update={"base_frame": base})
-            columns.append(link_torques(link_model(turned), rows.motion[0], still, still))
+        # Link torques per component of gravity in the world frame, (K, n, 3).
+        q = self.rows.motion[0]
+        still = np.zeros_like(q)
+        columns = [link_torques(self.rows.robot, q, still, still, axis) for axis in np.eye(3)]
         return np.stack(columns, axis=-1)
 
     # Fits
