@@ -44,6 +44,9 @@ Kind = Literal[
     "saturation",
     "clock",
     "gravity compensation",
+    "swap",
+    "order",
+    "scale",
     "unexplained",
 ]
 Part = Literal[
@@ -57,6 +60,11 @@ Part = Literal[
     "commands",
     "encoder",
     "sensor or drive",
+    "angles",
+    "measured torques",
+    "commanded torques",
+    "torques",
+    "signals",
 ]
 _SIGNED: tuple[Kind, ...] = (
     "bias",
@@ -72,6 +80,13 @@ _SIGNED: tuple[Kind, ...] = (
 )
 # Places of faults that do not concern a single joint.
 FLANGE, LINKS, BASE, COMMANDS = PLACES = "flange", "links", "base", "commands"
+# Recorded signals; `torques` are measured and commanded ones, `signals` are all of them.
+LOGGED: tuple[Part, ...] = (
+    "angles", "measured torques", "commanded torques", "torques", "signals",
+)  # fmt: skip
+ALL_JOINTS = "all joints"
+# Factors of units that logs and routes confuse, with their names.
+_UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
 # Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
 # the sign of the size.
@@ -83,15 +98,16 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint, or one of `PLACES`.
-        part: faulty part of the robot, for example `torque sensor`.
+        joint: name of the joint, one of `PLACES`, or `all joints` for a log.
+        part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
         size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
             (deg or m), stuck torque (Nm), tilt of the base (deg), mass (kg) or shift of the center
             (m) of one link, joint stiffness (Nm/rad), backlash (deg or m), largest torque of a
             spring (Nm), force (N), motor inertia (kg m2), change of Coulomb friction during the run
             (Nm), friction as a share of the link torque (%), torque limit (Nm), drift of a clock
-            (s/s), missing gravity compensation (%), or unexplained peak (Nm).
+            (s/s), missing gravity compensation (%), unexplained peak (Nm), factor of a logged
+            signal, or number of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
@@ -172,7 +188,25 @@ class Explanation:
             "gravity compensation": f"drives lack {about} of the gravity torques",
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
-        return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
+        text = self._of_log if part in LOGGED else texts[self.kind]
+        return f"{self.kind}: {text}{', in B' if self.is_second else ''}"
+
+    @property
+    def _of_log(self) -> str:
+        # What is wrong with the recorded columns.
+        count = len(self.joints)
+        names = ", ".join(self.joints[:-1]) + " and " * (count > 1) + self.joints[-1]
+        place = "in the log of all joints" if self.joint == ALL_JOINTS else f"in the log of {names}"
+        if self.kind == "sign":
+            return f"wrong sign of the {self.part} {place}"
+        if self.kind == "swap":
+            return f"the {self.part} of {names} are exchanged in the log"
+        if self.kind == "order":
+            column = self.joints[round(self.size)]
+            return f"the {self.part} of {self.joints[0]} are in the column of {column}, and so on"
+        named = [name for factor, name in _UNITS if abs(self.size / factor - 1.0) < 0.01]
+        unit = f" ({named[0]})" if named else ""
+        return f"{self.part} {self.size:.4g} times too large {place}{unit}"
 
     @property
     def _moved(self) -> str:
@@ -182,7 +216,7 @@ class Explanation:
     def short(self) -> str:
         """The kind and size of the fault, as text for figures."""
         of_second = " in B" if self.is_second else ""
-        if self.kind in ("sign", "stuck", "unexplained"):
+        if self.kind in ("sign", "stuck", "swap", "order", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
         is_signed = self.kind in _SIGNED or self.is_difference

@@ -41,6 +41,7 @@ from ...study.explanation import (
     Explanation,
 )
 from .explain_search import MIN_ROWS, Search
+from .log_faults import log_faults
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
@@ -59,6 +60,13 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     `found` contains the residuals of the robot if they are already known.
     """
     found = found or torque_residuals(log, robot)
+    faults, log = log_faults(log, robot, found)
+    if faults:
+        found = replace(torque_residuals(log, robot), no_model=found.no_model)
+    return [*faults, *_explain_correct(log, robot, found)]
+
+
+def _explain_correct(log: RunLog, robot: str, found: TorqueResiduals) -> list[Explanation]:
     # A run that a runaway joint aborts ends too early for the normal low-pass filter.
     end = log.between(float(log.times[-1]) - _ENDING, None)
     looped = found.torque_control
@@ -165,10 +173,15 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
-    first = torque_residuals(a, robots[0])
+    first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
+    faults, a = log_faults(a, robots[0], first)
+    faults_of_b, b = log_faults(b, robots[1], second)
+    if faults:
+        first = torque_residuals(a, robots[0])
     second = torque_residuals(b, robots[1], times=first.times - offset)
     moved = replace(second, times=first.times, noise=second.noise.later(offset))
-    return explain_pair(first, moved)
+    of_b = [replace(each, begin=each.begin + offset, is_second=True) for each in faults_of_b]
+    return [*faults, *of_b, *explain_pair(first, moved)]
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:

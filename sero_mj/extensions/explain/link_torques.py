@@ -19,8 +19,18 @@ _ANGLE_STEP = 1e-4  # rad or m, step of the numerical derivative of torques by a
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
 
+def link_model(robot: SerialRobot) -> RobotModel:
+    """Returns the model of a robot whose base does not move."""
+    return RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
+
+
 def link_torques(
-    robot: SerialRobot, q: Array, v: Array, a: Array, gravity: ArrayLike | None = None
+    robot: SerialRobot,
+    q: Array,
+    v: Array,
+    a: Array,
+    gravity: ArrayLike | None = None,
+    model: RobotModel | None = None,
 ) -> Array:
     """Returns M(q) a + C(q, v) v + g(q) without motor inertias, shape (K, n), Nm or N.
 
@@ -29,8 +39,9 @@ def link_torques(
         v: joint velocities, shape (K, n).
         a: joint accelerations, shape (K, n).
         gravity: gravity in the world, shape (3,), m/s2; None for the declared gravity.
+        model: `link_model` of the robot, if it is already known.
     """
-    model = RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
+    model = model or link_model(robot)
     if gravity is not None:
         model.skeleton.opt.gravity[:] = gravity
     torques, less = np.zeros((len(q), robot.n)), np.zeros(robot.n)
