@@ -462,7 +462,8 @@ def encoder_quantized(p: Plant) -> Truth:
 def gear_ratio(p: Plant) -> Truth:
     j, ratio = elbow(p), p.rng.choice([0.9, 1.1, 1.25])
     encoder(p, j, lambda q: ratio * q)
-    return everywhere(p, (p.robot.joints[j], "encoder scale", "encoder"))
+    name = p.robot.joints[j]
+    return everywhere(p, (name, "encoder scale", "encoder"), (name, "scale", "angles"))
 
 
 # Links, base and forces
@@ -583,10 +584,11 @@ def _swap(p: Plant, signal: str) -> list[int]:
     return pair
 
 
-@kind
+@named
 def log_angle_sign(p: Plant) -> Truth:
-    _flip(p, any_joint(p), "angles")
-    return everywhere(p)
+    j = any_joint(p)
+    _flip(p, j, "angles")
+    return everywhere(p, (p.robot.joints[j], "sign", "angles"))
 
 
 @named
@@ -603,26 +605,26 @@ def log_command_sign(p: Plant) -> Truth:
     return at(p, j, ("sign", DRIVE))  # the log is that of a drive with a wrong sign
 
 
-@kind
+@named
 def log_torques_swapped(p: Plant) -> Truth:
-    return at(p, _swap(p, "torques"))
+    return at(p, _swap(p, "torques"), ("swap", "measured torques"))
 
 
-@kind
+@named
 def log_angles_swapped(p: Plant) -> Truth:
-    _swap(p, "angles")
-    return everywhere(p)
+    pair = _swap(p, "angles")
+    return everywhere(p, *((p.robot.joints[j], "swap", "angles") for j in pair))
 
 
-@kind
+@named
 def log_commands_swapped(p: Plant) -> Truth:
-    return at(p, _swap(p, "commands"))
+    return at(p, _swap(p, "commands"), ("swap", "commanded torques"))
 
 
-@kind
+@named
 def log_degrees(p: Plant) -> Truth:
     on_log(p, "angles", lambda t, x: np.rad2deg(x))
-    return everywhere(p)
+    return everywhere(p, ("all joints", "scale", "angles"))
 
 
 @named
@@ -633,11 +635,11 @@ def log_torques_late(p: Plant) -> Truth:
     return everywhere(p, *((name, "delay", SENSOR) for name in p.robot.joints))
 
 
-@kind
+@named
 def log_angles_late(p: Plant) -> Truth:
     delay = p.rng.uniform(0.03, 0.06)
     on_log(p, "angles", lambda t, x: late(t, x, delay))
-    return everywhere(p)
+    return everywhere(p, ("all joints", "delay", "angles"))
 
 
 @named

@@ -79,12 +79,13 @@ _SIGNED: tuple[Kind, ...] = (
     "load friction",
 )
 # Places of faults that do not concern a single joint.
-FLANGE, LINKS, BASE, COMMANDS = PLACES = "flange", "links", "base", "commands"
+PLACES = FLANGE, LINKS, BASE, COMMANDS, ALL_JOINTS = (
+    "flange", "links", "base", "commands", "all joints",
+)  # fmt: skip
 # Recorded signals; `torques` are measured and commanded ones, `signals` are all of them.
 LOGGED: tuple[Part, ...] = (
     "angles", "measured torques", "commanded torques", "torques", "signals",
 )  # fmt: skip
-ALL_JOINTS = "all joints"
 # Factors of units that logs and routes confuse, with their names.
 _UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
@@ -188,7 +189,8 @@ class Explanation:
             "gravity compensation": f"drives lack {about} of the gravity torques",
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
-        text = self._of_log if part in LOGGED else texts[self.kind]
+        is_of_log = part in LOGGED and self.kind != "delay"
+        text = self._of_log if is_of_log else texts[self.kind]
         return f"{self.kind}: {text}{', in B' if self.is_second else ''}"
 
     @property

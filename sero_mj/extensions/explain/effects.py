@@ -14,7 +14,7 @@ import numpy as np
 
 from ...base.frames import Array, frame
 from ...robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
-from ...study.explanation import BASE, COMMANDS, FLANGE, LINKS, Kind, Part
+from ...study.explanation import ALL_JOINTS, BASE, COMMANDS, FLANGE, LINKS, Kind, Part
 from .link_torques import body_torques
 from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 
@@ -244,6 +244,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
         CommonEffect("tilt", "base", np.full(3, _TILT), _of_tilt, place=BASE,
                      torques=found.by_gravity, is_constant=True, min_size=0.1),
         _pushed(found, robot.flange_link, robot.T_n_flange, "flange", FLANGE),
+        *(_late_angles(found, k) for k in range(4, len(DELAYS), 5)),
     ]  # fmt: skip
     angles = found.motion.links[0] - np.nanmean(found.motion.links[0], axis=0)
     one = np.ones((len(angles), 1))
@@ -278,6 +279,16 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
             effects += _of_link(found, joint, mass, center)
             effects.append(_pushed(found, joint + 1, frame(center), "link", name))
     return effects
+
+
+def _late_angles(found: TorqueResiduals, k: int) -> CommonEffect:
+    # Angles of the log that are late by about `DELAYS[k]` relative to the torques.
+    delay = float(DELAYS[k])
+    return CommonEffect(
+        "delay", "angles", np.array([_FACTOR]), _scaled(delay, "s"), place=ALL_JOINTS,
+        torques=-found.torques.late_model[k, :, :, None], is_constant=True,
+        allowed=_DELAY_RANGE, min_size=0.002,
+    )  # fmt: skip
 
 
 def _by_deflection(found: TorqueResiduals, joint: int) -> Array:

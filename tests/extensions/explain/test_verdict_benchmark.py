@@ -73,7 +73,7 @@ def test_every_kind_names_joints_of_the_robot(plants: ModuleType, faults: Module
         for kind in faults.KINDS:
             _, truth = faults.make_plant(kind, 3, robot)
             assert truth.visible <= {*robot.joints}
-            places = {*robot.joints, "flange", "links", "base", "commands"}
+            places = {*robot.joints, "flange", "links", "base", "commands", "all joints"}
             assert {place for place, *_ in truth.right} <= places
             assert bool(truth.right) == (kind in faults.NAMED)
 
