@@ -188,8 +188,8 @@ def measure(path: Path, row: Row) -> None:
 
 def table(rows: list[Row]) -> str:
     """Returns the rows as a Markdown table."""
-    heads = ["robot", "joints", "kinematics", "frames", "compiled", "mass, kg", "difference", "image, s",
-             "with shadows, s", "MuJoCo, s", "ratio", "note"]  # fmt: skip
+    heads = ["robot", "joints", "kinematics", "frames", "compiled", "mass, kg", "difference",
+             "image, s", "with shadows, s", "MuJoCo, s", "ratio", "note"]  # fmt: skip
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
         ratio = row.seconds / row.mujoco_seconds
