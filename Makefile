@@ -13,6 +13,8 @@
 #                  others (10 GB from PyPI)
 # make robustness  write out/robustness/index.html: fuzzing, faults, a run of 10 minutes; QUICK=1 for
 #                  a short run, SECONDS=86400 for a day, SEED=N to repeat the cases of a run
+# make verdicts    measure how often the verdicts of compare are right, by their confidence (1 hour);
+#                  writes out/verdicts; VERDICTS="--robots lwr --seeds 1" for a shorter run
 # make foreign     compare robots of example-robot-data, robosuite and dm_control (350 MB from PyPI)
 # make gallery     update docs/gallery.md and its images
 # make oldest      run the quick tests with the oldest package versions that pyproject.toml allows
@@ -22,7 +24,7 @@ BIN := .venv/bin
 # Tests start some hundred programs; without compiled files, each one would compile all modules.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo test thorough quick core mutations oldest lint docs bench peers robustness foreign gallery wheel clean
+.PHONY: demo test thorough quick core mutations oldest lint docs bench peers robustness verdicts foreign gallery wheel clean
 
 .venv/.run .venv/.test: pyproject.toml .ci/setup
 	@.ci/setup $(@:.venv/.%=%)
@@ -81,6 +83,9 @@ peers: .venv/.test
 robustness: .venv/.test
 	$(BIN)/python benchmarks/robustness.py $(if $(QUICK),--quick) \
 	  $(if $(SECONDS),--seconds $(SECONDS)) $(if $(SEED),--seed $(SEED))
+
+verdicts: .venv/.test
+	$(BIN)/python benchmarks/verdicts $(VERDICTS)
 
 foreign: .venv/.test
 	$(BIN)/python -m pip install --quiet --group foreign

@@ -10,15 +10,15 @@ Conventions in this package:
 - A robot has n joints, numbered from 1 at the base in names and from 0 in arrays. Arrays over
   joints have the shape (n,). Joint values are in rad (revolute) or m (prismatic), efforts in Nm or
   N.
-- Images have the shape (height, width, 3) and type uint8, top row first. Pixels of clicks
-  (`--click`, `HeadlessRenderer.click`) are counted from the upper left corner, x to the right, y
-  down. Inside `viewer`, they are counted from the lower left corner, y up.
+- Images have the shape (height, width, 3) and type uint8, top row first. Pixel coordinates of
+  clicks (`--click`, `HeadlessRenderer.click`) are counted from the upper left corner, x to the
+  right, y down. Inside `viewer`, they are counted from the lower left corner, y up.
 - Data flows in one direction: assemble, receive, drive, decor, windows and pages. A file imports
   only from packages above its own in the table of the README.
 
-Public names are imported on first use, because `import mujoco` is slow. Extensions add names by
-entry points in the group `sero_mj.names`. If there is no display, importing this package sets
-`MUJOCO_GL`, if unset, to a backend that works without one, unless MuJoCo is already imported.
+Public names are imported on first use, because `import mujoco` is slow. Extensions add names
+through entry points in the group `sero_mj.names`. Importing this package without a display sets
+`MUJOCO_GL` to a backend that needs none, unless it is set or MuJoCo is already imported.
 """
 
 import warnings

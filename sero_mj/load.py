@@ -45,7 +45,7 @@ def load_scene(
     Args:
         name: a file (TOML, X3D), or the name of an included scene, scenario, robot or group.
         overrides: mapping from `robot.field` to values that replace the values of the file. An
-            input that is overridden (`lwr.joint_angles`) has no route.
+            overridden input, such as `lwr.joint_angles`, has no route.
         by_hand: whether users can pull the robots of a scenario in a window or on a page.
         trusted: whether a scenario may start programs and load libraries.
             Pass True only for a file that the user has chosen to simulate, see `base.trust`.
@@ -89,7 +89,7 @@ def load_scene(
             body = {importer.object_key: path.name}
             tables = {"name": own, "floor": "below", "objects": {own: body}}
             return _checked(*scene_from_tables(path, tables, overrides))
-        # The floor is below the robot, because its base may be a trunk.
+        # The floor is below the whole robot, because the base may be a trunk.
         overridden = {f"robots.{own}.{key.split('.')[1]}": 0 for key in overrides if "." in key}
         return Scene(robots=[robot], floor="below", name=own, lines=overridden)
     if path.name == paths.GROUP_FILE:
@@ -108,7 +108,7 @@ def _checked(scene: Scene, problems: list[Problem]) -> Scene:
 
 
 def load_robot(name: str, overrides: Mapping[str, Any] | None = None) -> SerialRobot:
-    """Loads a robot; `overrides` maps `robot.field` to values that replace values of the file.
+    """Loads a robot. `overrides` maps `robot.field` to values that replace values of the file.
 
     Raises:
         UnknownName: there is no such robot.

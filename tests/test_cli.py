@@ -122,7 +122,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
         (
             ["check", "--fk", "lwr", "--joint-angles", "1,x"],
-            "found '1,x'; expected numbers with commas",
+            "found '1,x'; expected numbers separated by commas",
         ),
         (["check", "--fk", "lrw"], "no scene or robot 'lrw'; did you mean 'lwr'?"),
         (
@@ -142,7 +142,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
             ["render", "lwr", "-o", "x.mp4", "--size", "1x1"],
             "size: found [1, 1]; expected at least 2",
         ),
-        (["render", "lwr", "-o", "x.png", "--wait", "-1"], "expected 0 or a number above"),
+        (["render", "lwr", "-o", "x.png", "--wait", "-1"], "expected a number of 0 or more"),
         (["render", "lwr", "-o", "x.mp4", "--duration", "1e9"], "expected at most 1000000"),
         (["render", "lwr", "-o", "/proc/no/x.mp4"], "cannot write /proc/no/x.mp4"),
         (["render", "lwr", "-o", "/proc/no/x.png"], "cannot write /proc/no/x.png"),
@@ -184,7 +184,7 @@ def test_values_that_begin_with_a_minus_need_no_equals_sign(capsys) -> None:
     assert status == 0
     assert json.loads(out)["joint_angles"][0] == -0.1
     status, _, err = run(capsys, "render", "lwr", "-o", "x.png", "--camera", "-90,-20,-3")
-    assert "camera: found '-90,-20,-3'; expected a name or azimuth" in err
+    assert "camera: found '-90,-20,-3'; expected the name of a camera, or azimuth" in err
 
 
 @pytest.mark.thorough
@@ -467,7 +467,7 @@ def test_all_errors_of_options_are_reported_at_once(capsys) -> None:
     assert err.splitlines() == [
         "sero-mj: 2 errors:",
         "  --size: found '9'; expected WIDTHxHEIGHT, e.g. 1280x800",
-        "  --wait: found 'x'; expected 0 or a number above",
+        "  --wait: found 'x'; expected a number of 0 or more",
     ]
 
 

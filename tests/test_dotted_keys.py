@@ -31,7 +31,7 @@ def test_key_is_split_into_the_parts_it_was_built_from(first: str, rest: list[st
     "key", ["", ".", "a.", "a..b", "[0]", "a[", "a[0", "a[-1]", "a[x]", "a[0]b"]
 )
 def test_invalid_key_is_rejected(key: str) -> None:
-    with pytest.raises(ValueError, match="expected names with dots, and indices such as"):
+    with pytest.raises(ValueError, match="expected names separated by dots, with indices such as"):
         parts_of(key)
 
 
@@ -86,8 +86,8 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
     ("key", "message"),
     [
         ("lwr.dynamics.mas_scale", "unknown key; did you mean 'mass_scale'?"),
-        ("lwr.torque_limits[9]", "no element [9] of 'torque_limits'; it has 7, from [0] on"),
-        ("lwr.name[0]", "'name' is no list; set it as a whole"),
+        ("lwr.torque_limits[9]", "'torque_limits' has no element [9]; it has 7, counted from [0]"),
+        ("lwr.name[0]", "'name' is not a list; set it as a whole"),
         (
             "lwr.dynamics.coulom_friction[1]",
             "unknown key; did you mean 'coulomb_friction'?",
@@ -96,8 +96,8 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
             "lwr.acceleration_limits[1]",
             "'acceleration_limits' has no elements yet; set it as a whole",
         ),
-        ("lwr.torque_limits.x", "'torque_limits' is no table"),
-        ("lwr.torque_limits[x]", "expected names with dots, and indices such as [0]"),
+        ("lwr.torque_limits.x", "'torque_limits' is not a table"),
+        ("lwr.torque_limits[x]", "expected names separated by dots, with indices such as [0]"),
         ("controllers.lwr.stifness", "unknown key; did you mean 'stiffness'?"),
         ("controllers.lrw.stiffness", "no robot 'lrw'; did you mean 'lwr'?"),
         (
@@ -119,7 +119,11 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
         ("view.look_art", "unknown key; did you mean 'look_at'?"),
         ("arrows.tip.radius", "there is no [arrows.tip], and for a new one at: is required"),
         ("groups.arms.show_axes", "no group 'arms'; none is available"),
-        ("lwr", "names no field; expected robot.field, e.g. lwr.joint_angles"),
+        (
+            "lwr",
+            "the key has no field; expected the names of a robot and a field, such as "
+            "lwr.joint_angles",
+        ),
         ("controlers.lwr.stiffness", "no robot 'controlers' to set this for; did you mean 'contro"),
         ("run.duratio", "unknown key; did you mean 'duration'?"),
     ],

@@ -155,7 +155,9 @@ def test_vector_in_the_wrong_shape_is_rejected_without_contradiction():
     assert refusal({"xyz": [[1, 2, 3]]}).found is None
 
 
-NOT_A_ROTATION = Problem(reason="upper left 3 x 3 is not a rotation (orthonormal, determinant +1)")
+NOT_A_ROTATION = Problem(
+    reason="the upper left 3 x 3 part is not a rotation (orthonormal, determinant +1)"
+)
 
 
 @pytest.mark.parametrize(
@@ -203,11 +205,11 @@ NOT_A_ROTATION = Problem(reason="upper left 3 x 3 is not a rotation (orthonormal
         ({"rpy": ["a", 0, 0]}, Problem(found=["a", 0, 0], expected="numbers")),
         (
             {"xyz": [math.nan, 0, 0]},
-            Problem(found=[math.nan, 0, 0], expected="finite numbers, no NaN or inf"),
+            Problem(found=[math.nan, 0, 0], expected="finite numbers without NaN or inf"),
         ),
         (
             {"xyz": [0, math.inf, 0]},
-            Problem(found=[0, math.inf, 0], expected="finite numbers, no NaN or inf"),
+            Problem(found=[0, math.inf, 0], expected="finite numbers without NaN or inf"),
         ),
         ({"xyz": [True, False, True]}, Problem(found=[True, False, True], expected="numbers")),
     ],

@@ -189,8 +189,8 @@ def test_free_camera_takes_azimuth_elevation_distance(world) -> None:
     camera = find_camera(world, "30,-20,3.5")
     assert (camera.azimuth, camera.elevation, camera.distance) == (30, -20, 3.5)
     expected = (
-        "a name or azimuth,elevation,distance (degrees, degrees, m above 0) and optionally "
-        "the look-at point ,x,y,z (m), for example 150,-15,2.2"
+        "the name of a camera, or azimuth,elevation,distance (degrees, degrees, m above 0), "
+        "optionally followed by the look-at point ,x,y,z (m), for example 150,-15,2.2"
     )
     for wrong in ("30,-20", "30,-20,0", "a,b,c", "1,2,nan", 5):
         with raises_with(UsageError, key="camera", found=wrong, expected=expected):

@@ -101,7 +101,7 @@ BOMBS: dict[str, tuple[Callable[[], Chunk], str]] = {
     ),
     "zeros": (
         lambda: chunk_of("zstd", zstandard.compress(bytes(ZEROS)), ZEROS),
-        "record at byte 0 of it: found opcode 0",
+        "record at byte 0 of its contents: found opcode 0",
     ),
     "too short": (
         lambda: chunk_of("zstd", zstandard.compress(b"\x80" * 9), 2000),
@@ -109,7 +109,7 @@ BOMBS: dict[str, tuple[Callable[[], Chunk], str]] = {
     ),
     "too long": (
         lambda: chunk_of("", struct.pack("<BQ", 5, 1 << 60), 9),
-        rf"record at byte 0 of it: {1 << 60} bytes do not fit",
+        rf"record at byte 0 of its contents: {1 << 60} bytes do not fit",
     ),
     "unknown": (
         lambda: chunk_of("xz", b"", 0),

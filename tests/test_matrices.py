@@ -99,8 +99,8 @@ def test_scene_declares_the_order_of_matrices() -> None:
         make_source("tracker", {**table, "column_major": 0})
 
 
-NOT_A_ROTATION = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
-TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major = "
+NOT_A_ROTATION = "the upper left 3 x 3 part is not a rotation (orthonormal, determinant +1)"
+TRANSPOSED = "the last row is [0.4, 0, 0.3, 1]; its transpose is a frame. Set column_major = "
 
 
 @pytest.mark.parametrize(
@@ -112,16 +112,16 @@ TRANSPOSED = "last row [0.4, 0, 0.3, 1]; its transpose is one: set column_major 
         (
             False,
             changed(IDENTITY, m30=0.001),
-            "last row [0.001, 0, 0, 1]; its transpose is one: set column_major = true",
+            "the last row is [0.001, 0, 0, 1]; its transpose is a frame. Set column_major = true",
         ),
-        (False, [0] * 16, "last row [0, 0, 0, 0]"),
-        (False, changed(IDENTITY, m33=1.00001), "last row [0, 0, 0, 1.00001]"),
-        (False, changed(IDENTITY, m30=0.4, m00=3), "last row [0.4, 0, 0, 1]"),
+        (False, [0] * 16, "the last row is [0, 0, 0, 0]"),
+        (False, changed(IDENTITY, m33=1.00001), "the last row is [0, 0, 0, 1.00001]"),
+        (False, changed(IDENTITY, m30=0.4, m00=3), "the last row is [0.4, 0, 0, 1]"),
         (False, changed(IDENTITY, m00=1.1), NOT_A_ROTATION),
         (False, changed(IDENTITY, m00=-1), NOT_A_ROTATION),
         (False, changed(IDENTITY, m01=1e300, m10=-1e300), NOT_A_ROTATION),
         (False, changed(IDENTITY, m22=0, m33=1), NOT_A_ROTATION),
-        (True, changed(BY_COLUMNS, m33=-1.7e308), "last row [0, 0, 0, -1.7e+308]"),
+        (True, changed(BY_COLUMNS, m33=-1.7e308), "the last row is [0, 0, 0, -1.7e+308]"),
     ],
 )
 def test_matrix_that_is_not_a_frame_is_counted_and_not_applied(

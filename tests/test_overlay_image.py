@@ -85,7 +85,7 @@ def test_image_can_be_saved_and_is_an_array(overlay: Any, tmp_path: Path) -> Non
         RenderError, reason=f"cannot write {tmp_path}/out.xyz: unknown file extension: .xyz"
     ):
         picture.save(tmp_path / "out.xyz")
-    found = "found 240 x 320 numbers of type uint8; expected an image, height x width x 3"
+    found = "found 240 x 320 numbers of type uint8; expected an image of height x width x 3"
     with raises_with(RenderError, reason=f"cannot write {tmp_path}/plane.png: {found}"):
         picture[..., 0].save(tmp_path / "plane.png")
 

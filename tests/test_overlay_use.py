@@ -57,8 +57,8 @@ def test_geoms_over_capacity_are_counted_and_reported_once(
         assert left_out == overlay.dropped == needed.ngeom - before - room
         assert scene.ngeom == scene.maxgeom
     assert len(caplog.records) == 1
-    assert f"{left_out} decor geoms are not drawn" in caplog.text
-    assert f"capacity is {scene.maxgeom}" in caplog.text
+    assert f"{left_out} geoms of arrows, axes or panels are not drawn" in caplog.text
+    assert f"the scene has room for {scene.maxgeom} geoms" in caplog.text
 
 
 @pytest.mark.parametrize("room", [0, 2])
@@ -244,7 +244,9 @@ def test_unknown_names_are_rejected(
 
 
 def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
-    message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
+    message = (
+        r"^arm\.joint_angles: the joint angles of arm come from your data. Set data\.qpos instead$"
+    )
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 

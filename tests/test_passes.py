@@ -162,7 +162,7 @@ def test_pass_files_contain_the_arrays(world, data, tmp_path, suffix: str) -> No
     for row in legend["parts"]:
         assert (colours[parts == row["id"]] == row["colour"]).all()
     with Image.open(files["depth"]) as picture:
-        assert picture.info["Description"] == "depth, mm; 0 for none"
+        assert picture.info["Description"] == "depth in mm; 0 for no depth"
         mm = np.asarray(picture).astype(float)
     told = depth < 10
     assert np.abs(mm[told] / 1000 - depth[told]).max() < 0.00051

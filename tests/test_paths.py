@@ -121,7 +121,7 @@ def test_broken_link_is_reported(elsewhere):
     Path("x.toml").symlink_to("gone.toml")
     with pytest.raises(DeclarationError) as caught:
         paths.find_scene("x.toml")
-    assert str(caught.value) == "x.toml: is a link to gone.toml, which is not there"
+    assert str(caught.value) == "x.toml: is a link to gone.toml, which does not exist"
 
 
 @pytest.mark.parametrize("find", [paths.find_model, paths.find_scene])
@@ -448,7 +448,7 @@ def test_third_party_folder_opens_its_scene_or_its_only_model(elsewhere):
     [
         ("arm.sdf", "<sdf/>", "an SDF file"),
         ("arm.usda", "#usda 1.0\n", "a USD file"),
-        ("arm.doc", "an arm", "no file of a robot or a scene"),
+        ("arm.doc", "an arm", "not a robot or scene file"),
     ],
 )
 def test_model_in_another_format_is_reported_with_its_format(elsewhere, name, text, what):
@@ -456,4 +456,4 @@ def test_model_in_another_format_is_reported_with_its_format(elsewhere, name, te
     scene = write(elsewhere / "s.toml", f'[robots.arm]\nmodel = "{name}"')
     with pytest.raises(DeclarationError) as caught:
         load_scene(scene)
-    assert f"{name}: is {what}; expected one of .toml, .urdf" in str(caught.value)
+    assert f"{name}: is {what}; expected a file that ends in .toml, .urdf" in str(caught.value)

@@ -166,7 +166,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             "[arrows.lwr]\nat = [0, 0, 1]",
-            "s.toml:6: arrows.lwr: a robot has this name; expected another one",
+            "s.toml:6: arrows.lwr: a robot already has this name; expected a different name",
         ),
         (
             '[frames.t]\nrelative_to = "lwr/link9"',
@@ -176,7 +176,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ("[toggles]\nlegnd = true", "s.toml:7: toggles.legnd: unknown key; did you mean 'legend'?"),
         (
             '[frames.toggles]\nrelative_to = "world"',
-            "s.toml:6: frames.toggles: this name is reserved in routes; expected another one",
+            "s.toml:6: frames.toggles: this name is reserved in routes; expected a different name",
         ),
     ],
 )
@@ -339,5 +339,5 @@ def test_waiting_reports_why_no_packet_was_valid(caplog: pytest.LogCaptureFixtur
         assert mirror.wait(0.0) == ["udp"]
     assert caplog.messages == [
         "source 'udp': a packet is not applied: matrices0[0] is not a frame: "
-        "last row [0.2, -0.3, 0.1, 1]; its transpose is one: set column_major = false"
+        "the last row is [0.2, -0.3, 0.1, 1]; its transpose is a frame. Set column_major = false"
     ]

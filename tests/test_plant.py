@@ -475,8 +475,8 @@ def test_invalid_plants_and_payloads_are_rejected():
     with raises_with(
         key="payload of lwr",
         reason=(
-            "found principal moments 1, 1, 5 kg m2; expected the largest to be at most "
-            "the sum of the others, 2 (a tensor about the centre of mass?)"
+            "found principal moments 1, 1, 5 kg m2; expected the largest moment to be at "
+            "most the sum of the other two, 2. Is the tensor about the center of mass?"
         ),
     ):
         plant.attach_payload("lwr", 1.0, inertia=[1, 1, 5, 0, 0, 0])

@@ -606,8 +606,8 @@ def test_implausible_torque_is_reported_where_no_arrow_shows_it() -> None:
     slot = world.slots["lwr.torques"]
     limit = world.joints.torque_limit[2]
     for value, said in (
-        (1e12, ["E1: 1e+12 Nm is over 1000 times the limit; not drawn"]),
-        (-1e300, ["E1: -1e+300 Nm is over 1000 times the limit; not drawn"]),
+        (1e12, ["E1: 1e+12 Nm is over 1000 times the limit and is not drawn"]),
+        (-1e300, ["E1: -1e+300 Nm is over 1000 times the limit and is not drawn"]),
         (999.0 * limit, [f"E1: {999 * limit:.3g} Nm is 999 times the limit"]),
         (9.9 * limit, []),  # an arrow, striped
         (np.nan, []),

@@ -181,12 +181,12 @@ WRONG = {
     ],
     '[routes]\nlwr.torques = "udp.values0"\nx = true': [
         Problem("routes.lwr", found={'torques': 'udp.values0'},
-                expected=f"{EVENT}; put quotes about the whole name",
+                expected=f"{EVENT}; put quotes around the whole name",
                 file="s.toml", line=2),
         Problem("routes.x", found=True, expected=EVENT, file="s.toml", line=3),
     ],
-    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, expected="a robot's name",
-                                          file="s.toml", line=3)],
+    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, file="s.toml", line=3,
+                                          expected="the name of a robot")],
     "[robots.arm]\n\nmodel = 'lrw'": [
         Problem("robots.arm.model", "no robot model", found="lrw", available=["lwr"],
                 file="s.toml", line=3)
@@ -209,8 +209,8 @@ WRONG = {
                 available=["fovy_deg", "frame", "look_at", "position"], file="s.toml", line=3),
     ],
     "[cameras.a]\nposition = [1, 2, 3]\nlook_at = [1, 2, 3]": [
-        Problem("cameras.a.look_at", found=[1.0, 2.0, 3.0], expected="another point than position",
-                file="s.toml", line=3)
+        Problem("cameras.a.look_at", found=[1.0, 2.0, 3.0],
+                expected="a point that differs from position", file="s.toml", line=3)
     ],
     "[lights.a]\nposition = [0, 0, 1]\ndirection = [0, 0, 0]\ndiffuse = [5, 0, 0]": [
         Problem("lights.a.direction", found=[0.0, 0.0, 0.0], expected="a direction", file="s.toml",
@@ -240,7 +240,7 @@ WRONG = {
                 expected="'box', 'sphere', 'cylinder', 'capsule', 'ellipsoid', 'axes' or 'limb'",
                 available=["box"], file="s.toml", line=2),
         Problem("objects.box.size", found=[math.nan, 1, 1],
-                expected="finite numbers, no NaN or inf", file="s.toml", line=3),
+                expected="finite numbers without NaN or inf", file="s.toml", line=3),
     ],
     # Lines of keys that follow values of several lines.
     f"{ARM}dh_params = [\n  [0, 0, 0, 1],\n  [0, 0, 0, 0]\n]\ntorque_limits = [-1, 1]": [
@@ -262,8 +262,8 @@ WRONG = {
     ],
     f'{ARM}[robots . "my arm"]\n"dh_params" = [1]\ndh_convention = "craig"': [
         Problem("robots.my arm.name", found="my arm",
-                expected="letters, digits, _ and -, the first a letter or _", file="s.toml",
-                line=3),
+                expected="a name of letters, digits, _ and - that begins with a letter or _",
+                file="s.toml", line=3),
         Problem("robots.my arm.dh_params", "found 1; expected n x 4 numbers", file="s.toml",
                 line=4),
     ],
@@ -320,8 +320,8 @@ def test_overrides_replace_values_of_the_file_and_their_routes(read):
                                      available=["arm"], file="s.toml")),
         (ARM, "arm.torqes", Problem("robots.arm.torqes", "unknown key", available=["torques"],
                                     file="s.toml", line=1)),
-        (ARM, "arm", Problem("arm", "names no field", expected="robot.field, e.g. arm.joint_angles",
-                             file="s.toml")),
+        (ARM, "arm", Problem("arm", "the key has no field", file="s.toml", expected="the names of "
+                             "a robot and a field, such as arm.joint_angles")),
         ("x = 1", "arm.torques", Problem("arm.torques", "no robot", found="arm",
                                          of="to set this for", available=[], file="s.toml")),
         ("robots = 5", "arm.torques", Problem("arm.torques", "no robot", found="arm",

@@ -128,11 +128,14 @@ def test_measuring_does_not_change_the_actual_values():
             Problem("noise", found=2, of="dimensions", expected="one number, or one per joint"),
         ),
         ({"delay": -1}, Problem("delay", found=-1, expected="greater than or equal to 0")),
-        ({"delay": 0.5}, Problem("delay", found=0.5, expected="integer, without a point")),
+        (
+            {"delay": 0.5},
+            Problem("delay", found=0.5, expected="an integer without a decimal point"),
+        ),
         ({"biass": 1.0}, Problem("biass", "unknown key", available=["bias"])),
         (
             {"gain": float("nan")},
-            Problem("gain", found=math.nan, expected="finite numbers, no NaN or inf"),
+            Problem("gain", found=math.nan, expected="finite numbers without NaN or inf"),
         ),
     ],
 )

@@ -284,7 +284,7 @@ def test_rows_before_an_error_are_saved(
         (["--at", "1"], "--at needs an image: --render OUT.png"),
         (["--render", "x.png", "--at", "9"], "--at 9: the run ends at 0.4 s"),
         (["--set", "controllers.lwr.stifness=1"], "stifness: unknown key; did you mean"),
-        (["--seed", "-1"], "found '-1'; expected a whole number from 0"),
+        (["--seed", "-1"], "found '-1'; expected a whole number of 0 or more"),
         (["--send", "lwr_udpp"], "no scene or robot 'lwr_udpp'; did you mean 'lwr_udp'?"),
     ],
 )

@@ -81,7 +81,8 @@ def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
         ({"received": 9}, []),
         (
             {"received": 12, "malformed": 3, "wrong_size": 2, "last_size": 5, "fault_age": 1},
-            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56", "  NaN or infinity"],
+            ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
+             "  some values are NaN or infinite"],
         ),
         (
             {"received": 12, "malformed": 1, "wrong_size": 1, "last_size": 5, "fault_age": 1},
@@ -91,7 +92,7 @@ def test_nothing_is_expected_from_files(tmp_path: Path) -> None:
             {"received": 12, "malformed": 3, "wrong_size": 2, "last_size": 5, "fault_age": 1,
              "not_frames": 1},
             ["udp: 3 of 12 packets not applied", "  5 bytes, expected 56",
-             "  a matrix that is not a frame"],
+             "  a received matrix is not a frame"],
         ),
         (
             {"received": 12, "malformed": 2, "fault_age": 1, "wrong_constant": 2},

@@ -464,7 +464,7 @@ def test_torque_control_of_a_robot_file_is_checked(elastic: bool) -> None:
     found = problems(SOFT, elastic, torque_control={"motor_inertias": [4.0] + [0.1] * 6})
     assert "robots.lwr.torque_control.motor_inertias: joint 1: found 4" in found
     with raises_with(
-        key="torque_control.motor_inertias", found=2, expected="7: one per row of dh_params"
+        key="torque_control.motor_inertias", found=2, expected="7, one per row of dh_params"
     ):
         SerialRobot.from_model("lwr", torque_control={"motor_inertias": [1.0, 1.0]})
     with raises_with(

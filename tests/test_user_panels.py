@@ -160,7 +160,7 @@ def test_typed_numbers_out_of_range_are_rejected_with_the_range() -> None:
         (lambda p: p.number("k", value=3, high=2), "k: found 3; expected at most 2"),
         (lambda p: p.number("k", value=[1, 2]), "k: found [1, 2]; expected a finite number"),
         (lambda p: p.check("k", value="yes"), "k: found 'yes'; expected True or False"),
-        (lambda p: p.choice("k", []), "k: found the names []; expected different ones"),
+        (lambda p: p.choice("k", []), "k: found the names []; expected different names"),
         (lambda p: p.choice("k", ["a", "a"]), "k: found the names ['a', 'a']; expected different"),
         (lambda p: p.choice("k", ["a", 5]), "k: names: found 5; expected a text without '##'"),
         (lambda p: p.choice("k", ["gravity"], value="gravty"), "found 'gravty'; did you mean 'gra"),

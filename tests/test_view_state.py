@@ -98,8 +98,8 @@ def test_state_of_another_scene_is_applied_as_far_as_it_fits(world: World) -> No
     camera, joint, wrong = apply_state(world, toggles, state)
     assert (camera, joint, toggles.legend) == (None, None, False)
     frames = len(toggles.axes)
-    assert wrong[0] == "no switch 'arrow'; did you mean 'arrows'?"
-    assert wrong[1] == f"axes: found 2 digits; expected one, or {frames}: one for each"
+    assert wrong[0] == "there is no switch 'arrow'; did you mean 'arrows'?"
+    assert wrong[1] == f"axes: found 2 digits; expected one digit, or {frames} (one for each item)"
     assert wrong[2].startswith("no camera 'there'")
     assert wrong[3].startswith("no joint 'kuka/A9'")
 

@@ -28,7 +28,7 @@ from sero_mj.viewer.program.viewer import Viewer, _to_show
         ("lwr", {"size": (9, 9)}, "size: found [9, 9]; it is for a window, and this is a page"),
         ("lwr", {"full_screen": True}, "full_screen: found true; it is for a window"),
         ("lwr", {"port": "80"}, "port '80': expected 1 to 65535"),
-        ("lwr", {"camera": 5}, "camera: found 5; expected a name or azimuth,elevation,distance"),
+        ("lwr", {"camera": 5}, "camera: found 5; expected the name of a camera, or azimuth,"),
         ("lwr", {"web": False, "port": 8080}, "port: found 8080; only web pages have"),
         ("lwr", {"web": False, "host": "::"}, "host: found '::'; only web pages have"),
     ],

@@ -1,6 +1,6 @@
-"""`ChildProcess`: a process that ends together with all processes that it has started.
+"""Child processes that are ended together with all processes that they have started.
 
-It has its own process group, so that Ctrl+C in the terminal does not reach it.
+Each child process has its own process group, so that Ctrl+C in the terminal does not reach it.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ _TAIL = 1 << 16  # bytes at the end of the output that are read
 
 
 class ChildProcess:
-    """A process in its own process group. It ends with this object, or with this process.
+    """A child process that is ended when this object is deleted or the parent process ends.
 
     Its standard error is written to an unnamed temporary file, which cannot block like a full pipe.
 
     Args:
         grace: time in seconds between SIGTERM and SIGKILL.
-        leftovers: files and folders to remove at the end.
-        keeps_stdout: whether the standard output is written to the same file.
+        leftovers: files and folders to remove after the process has ended.
+        keeps_stdout: whether standard output is written to the temporary file, too.
 
     Raises:
         OSError: the program cannot be started.
@@ -74,7 +74,7 @@ class ChildProcess:
 
     @property
     def status(self) -> str:
-        """Name of the signal that ended it, or its exit status; empty while it is running."""
+        """Signal name or exit status of the ended process; empty while the process is running."""
         code = self.process.poll()
         if code is None:
             return ""
@@ -128,7 +128,7 @@ def _end(
             while process.poll() is None and time.monotonic() < deadline:
                 time.sleep(0.005)
         finally:
-            _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # and its children
+            _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))  # also its children
             process.wait()
             for pipe in (process.stdin, process.stdout):
                 if pipe is not None:
@@ -159,7 +159,7 @@ def _signal(process: subprocess.Popen[bytes], number: int) -> None:
         if process.returncode is None:  # it is not yet a group leader
             process.send_signal(number)
     elif process.poll() is None:
-        if sys.platform == "win32":  # and its children
+        if sys.platform == "win32":  # `taskkill /T` also ends the children
             words = ["taskkill", "/F", "/T", "/PID", str(process.pid)]
             subprocess.run(words, check=False, capture_output=True)
         else:
@@ -187,7 +187,7 @@ def _note(entry: bytes) -> None:
             _reaper = os.getpid(), started
         pipe = _reaper[1].stdin
         assert pipe is not None
-        with suppress(OSError):  # it was killed
+        with suppress(OSError):  # the reaper was killed
             pipe.write(entry + b"\0")
 
 

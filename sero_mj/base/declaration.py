@@ -1,4 +1,4 @@
-"""`Declaration`: base class of everything that files declare.
+"""Base class of everything that files declare.
 
 A declaration is a pydantic model that rejects unknown keys. It converts all errors of its fields to
 `Problem`s, which state the value that was found and the value that was expected.
@@ -41,16 +41,15 @@ from pydantic_core import ErrorDetails
 from .errors import DeclarationError, Problem, mismatch, problems_of
 from .frames import Array, frame_from
 
-LARGEST = 1e9  # exceeds every length, angle, torque and mass of a robot in SI units
-
+LARGEST = 1e9  # larger than any length, angle, torque or mass of a robot in SI units
 
 if TYPE_CHECKING:
 
     class _Model:
         """`BaseModel` for type checkers, with arbitrary keyword arguments.
 
-        Otherwise, type checkers would reject lists as values of array fields, and would require
-        fields whose default is a positional argument.
+        Without this class, type checkers would reject lists as values of array fields, and would
+        require fields whose default is a positional argument.
         """
 
         model_config: ClassVar[ConfigDict]
@@ -74,7 +73,7 @@ class Declaration(_Model):
     """Base class of everything that can be declared in a file or created in Python.
 
     Attributes:
-        renamed: current names of fields by their names in earlier versions, which files may use.
+        renamed: mapping from earlier field names, which files may still use, to current names.
         checked_alone: fields whose validity depends on no other field. Setting one of them
             validates only this field.
 
@@ -103,7 +102,7 @@ class Declaration(_Model):
             raise _declaration_error(error, type(self)) from None
 
     def __setattr__(self, name: str, value: Any) -> None:
-        """Sets a field. If the declaration would become invalid, nothing changes."""
+        """Sets and validates a field. If the value is invalid, the declaration does not change."""
         if name.startswith("_"):
             super().__setattr__(name, value)
             return
@@ -147,7 +146,7 @@ def _declaration_error(error: ValidationError, kind: type[Declaration]) -> Decla
 
 
 def field_descriptions(declaration: type[Declaration]) -> dict[str, str]:
-    """Returns the descriptions of fields in the docstrings of a declaration and its bases."""
+    """Returns the field descriptions in the docstrings of a declaration class and its bases."""
     found: dict[str, str] = {}
     for kind in reversed(declaration.__mro__):
         text = inspect.cleandoc(kind.__dict__.get("__doc__") or "").partition("Attributes:\n")[2]
@@ -156,7 +155,7 @@ def field_descriptions(declaration: type[Declaration]) -> dict[str, str]:
 
 
 def expecting(what: str) -> WrapValidator:
-    """Returns a validator whose error message names the expected value."""
+    """Returns a validator whose error message describes the expected value as `what`."""
 
     def validate(value: Any, handler: ValidatorFunctionWrapHandler) -> Any:
         try:
@@ -168,7 +167,7 @@ def expecting(what: str) -> WrapValidator:
 
 
 def numbers(value: Any) -> Array:
-    """Returns a float64 array of finite numbers.
+    """Converts a value to a float64 array of finite numbers.
 
     Raises ValueError if a value is NaN, infinite, too large, or not a number.
     """
@@ -180,16 +179,16 @@ def numbers(value: Any) -> Array:
         raise mismatch(value, "numbers")
     array = array.astype(np.float64)
     if not np.isfinite(array).all():
-        raise mismatch(value, "finite numbers, no NaN or inf")
+        raise mismatch(value, "finite numbers without NaN or inf")
     if (np.abs(array) > LARGEST).any():
         raise mismatch(value, f"numbers up to {LARGEST:g}")
     return array
 
 
 def of_shape(*shape: int | None) -> BeforeValidator:
-    """Returns a validator for arrays of a shape in which None means any length.
+    """Returns a validator for arrays of a shape, in which None stands for any length.
 
-    A flat list is split into rows if possible, like `dhParams` in the paper.
+    A flat list, such as `dhParams` in the paper, is split into rows if possible.
     """
     names = iter("nm") if len(shape) > 1 and None in shape[1:] else iter("nn")
     wanted = " x ".join(next(names) if length is None else str(length) for length in shape)
@@ -223,8 +222,7 @@ def is_name(text: str) -> str:
     Raises ValueError if it contains invalid characters.
     """
     if not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_-]*", text):
-        expected = "letters, digits, _ and -, the first a letter or _"
-        raise mismatch(text, expected)
+        raise mismatch(text, "a name of letters, digits, _ and - that begins with a letter or _")
     return text
 
 
@@ -256,7 +254,7 @@ def _plain(detail: ErrorDetails, kind: type[Declaration]) -> Problem:
     if expected == "boolean":
         expected = "true or false"
     if expected == "integer" and isinstance(detail["input"], float):
-        expected = "integer, without a point"
+        expected = "an integer without a decimal point"
     return Problem(found=detail["input"], expected=expected)
 
 
@@ -300,7 +298,7 @@ _PROBLEMS: dict[str, Callable[[ErrorDetails, type[Declaration]], Problem]] = {
 
 
 def by_kind(table: Any, kinds: Mapping[str, type[T]], base: type[T]) -> T:
-    """Returns the declaration that a table selects by its `kind`.
+    """Creates the declaration of the class in `kinds` that the `kind` of a table selects.
 
     If the table is an instance of `base`, it is returned unchanged. Raises DeclarationError if the
     kind is unknown, or if fields are invalid.
@@ -320,7 +318,7 @@ def file_fields(kind: type[Declaration]) -> list[str]:
 def kind_of(table: Any, kinds: Collection[str]) -> str:
     """Returns the `kind` of a table.
 
-    Raises DeclarationError if the argument is not a table, or if the kind is unknown.
+    Raises DeclarationError if the argument is not a table, or its kind is missing or unknown.
     """
     if not isinstance(table, Mapping):
         raise mismatch(table, "a table with `kind`")

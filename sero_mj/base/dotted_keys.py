@@ -1,4 +1,4 @@
-"""Dotted keys, `dynamics.coulomb_friction[1]`, with which options override values of files."""
+"""Dotted keys such as `dynamics.coulomb_friction[1]`, which select values of files to override."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ _PART = re.compile(r"([^.\[\]]+)((?:\[\d+\])*)")
 
 
 def parts_of(key: str) -> list[str | int]:
-    """Returns names and indices of a dotted key, outermost first.
+    """Splits a dotted key into its names and indices, outermost first.
 
-    Raises ValueError if it is not a dotted key.
+    Raises ValueError if the text is not a dotted key.
     """
     parts: list[str | int] = []
     for text in key.split("."):
         found = _PART.fullmatch(text)
         if found is None:
-            raise ValueError("expected names with dots, and indices such as [0]")
+            raise ValueError("expected names separated by dots, with indices such as [0]")
         parts += [found[1], *map(int, re.findall(r"\d+", found[2]))]
     return parts
 
@@ -36,14 +36,14 @@ def with_value(
     n: int = 0,
     lists: Mapping[str, int] = MappingProxyType({}),
 ) -> dict[str, Any]:
-    """Returns a copy of a table in which a dotted key has a value.
+    """Returns a copy of a table in which the value of a dotted key is replaced.
 
     Args:
-        table: with nested tables and lists.
-        parts: parts of the key, a name first. Missing tables are created.
-        value: a number replaces every element of a list of numbers.
-        built: the object built from the table; missing lists are taken from its arrays.
-        below: another table that this one overrides; missing lists and frames are taken from it.
+        table: table to copy, possibly with nested tables and lists.
+        parts: parts of the key, beginning with a name. Missing tables are created.
+        value: new value. A number replaces every element of a list of numbers.
+        built: object that was built from the table. Its arrays replace missing lists.
+        below: table that this table overrides. Its lists and frames replace missing ones.
         n: number of elements that a single number in the table stands for; 0 for a scalar.
 
     Raises:
@@ -60,7 +60,7 @@ def with_value(
     if rest and isinstance(rest[0], str):
         inner = {} if found is None else found
         if not isinstance(inner, Mapping):
-            raise ValueError(f"'{name}' is no table")
+            raise ValueError(f"'{name}' is not a table")
         changed[str(name)] = with_value(
             inner, rest, value, built=own, below=under, n=n, lists=lists
         )
@@ -89,10 +89,10 @@ def with_value(
 def lacking(
     section: str, name: str, problems: Iterable[Problem], keys: Collection[str], others: list[str]
 ) -> str | None:
-    """Describes what a table that is not in a file lacks; None if only its values are wrong.
+    """Describes what is missing in a table that only dotted keys create, or returns None.
 
-    The problems are why it could not be built, by its keys; `keys` are the dotted keys that created
-    it, and `others` the names of the tables in the file.
+    `problems` are the errors of the table, `keys` are the dotted keys that created it, and `others`
+    are the names of the tables in the file. None means that only values of the table are invalid.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."
@@ -104,7 +104,7 @@ def lacking(
 
 
 def no_table(section: str, name: str, others: Iterable[str]) -> str:
-    """Reports a missing table, with the nearest name."""
+    """Returns the message for a missing table, with the most similar name."""
     return f"there is no [{section}.{name}]{did_you_mean(name, others)}"
 
 
@@ -113,11 +113,12 @@ def _with_element(values: Any, indices: list[str | int], value: Any, name: str) 
         return value
     index, *rest = indices
     if not isinstance(values, list):
-        raise ValueError(f"'{name}' is no list; set it as a whole")
+        raise ValueError(f"'{name}' is not a list; set it as a whole")
     if not isinstance(index, int):
         raise ValueError(f"'{name}' is a list; expected an index, as in {name}[0]")
     if index >= len(values):
-        raise ValueError(f"no element [{index}] of '{name}'; it has {len(values)}, from [0] on")
+        count = len(values)
+        raise ValueError(f"'{name}' has no element [{index}]; it has {count}, counted from [0]")
     changed = list(values)
     changed[index] = _with_element(values[index], rest, value, f"{name}[{index}]")
     return changed

@@ -23,9 +23,9 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from importlib.metadata import EntryPoint
 
-_MAX_SHOWN = 60  # characters of a long text before and after an error
-_MAX_TEXT = 200  # characters of a text that is invalid as a whole
-_MAX_ENTRIES = 6  # entries of a table or list
+_MAX_SHOWN = 60  # characters shown before and after an error in a long text
+_MAX_TEXT = 200  # characters shown of a text that is invalid as a whole
+_MAX_ENTRIES = 6  # entries shown of a table or list
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -36,14 +36,14 @@ def nearest(name: str, available: Iterable[str]) -> str | None:
 
 
 def reason_of(error: Exception) -> str:
-    """Returns the message of an error, without the number and file of an operating system error."""
+    """Returns the message of an error. For an OSError, omits the error number and the file name."""
     if isinstance(error, KeyError):
         return f"has no {error}"
     return getattr(error, "strerror", None) or str(error)
 
 
 def did_you_mean(name: str, available: Iterable[str]) -> str:
-    """Returns `; did you mean 'x'?` with the most similar name, or a list of available names."""
+    """Returns a suggestion such as `; did you mean 'x'?`, or a list of the available names."""
     names = list(available)
     near = nearest(name, names)
     if near is not None:
@@ -55,14 +55,14 @@ def did_you_mean(name: str, available: Iterable[str]) -> str:
 
 
 def first_of(names: Sequence[str], count: int = 8) -> str:
-    """Returns the first names separated by commas, and the number of the others."""
+    """Returns the first `count` names separated by commas, and the number of remaining names."""
     more = f" and {len(names) - count} more" if len(names) > count else ""
     return ", ".join(names[:count]) + more
 
 
 @contextmanager
 def without_warnings() -> Iterator[None]:
-    """Suppresses warnings within the context, for data that is read a second time."""
+    """Context manager that suppresses warnings, for data that is read a second time."""
     log = logging.getLogger("sero_mj")
     before = log.level
     log.setLevel(logging.ERROR)
@@ -95,8 +95,8 @@ def in_one_line(text: str) -> str:
 def shown(value: object, depth: int = 3) -> str:
     """Formats a value for messages, in TOML notation, and shortens long values.
 
-    Arrays are formatted as lists, None as `nothing`, and other objects by their class. Tables and
-    lists are nested up to `depth` levels.
+    Arrays are formatted as lists, None as `nothing`, and objects of other types as the name of
+    their class. Tables and lists are formatted up to `depth` nested levels.
     """
     value = value.tolist() if hasattr(value, "tolist") else value
     match value:
@@ -135,7 +135,7 @@ def _shortened(entries: Iterable[str], count: int, depth: int) -> str:
 
 
 class SeroError(Exception):
-    """Base class of all exceptions of sero-mj. They can be pickled, and their text is printable."""
+    """Base class of all exceptions of sero-mj, which can be pickled and have a printable text."""
 
     def __init__(self, *args: object) -> None:
         super().__init__(*(printable(each) if isinstance(each, str) else each for each in args))
@@ -158,18 +158,18 @@ def _restored(
 class Problem:
     """An error in a declaration. Problems with the same message and value are equal.
 
-    The message consists of the attributes, for example `found 2 numbers; expected 3` with
-    `of="numbers"`.
+    The message is built from the attributes. For example, `found=2`, `of="numbers"` and
+    `expected=3` result in `found 2 numbers; expected 3`.
 
     Attributes:
         key: dotted key, for example `robots.lwr.dh_params`; empty for the whole file.
-        reason: description of the error, which precedes `found` (default: the word `found`).
+        reason: description of the error, which precedes the invalid value (default: `found`).
         file: name of the file; None for declarations in Python.
         line: line number in the file, or None if unknown.
-        found: invalid value, or None if there is none.
-        of: words that follow the value, for example its unit.
-        expected: description of a valid value, or the value itself.
-        available: valid names for `found`, or for the key if `found` is None.
+        found: invalid value, or None if the message contains no value.
+        of: text after the invalid value, for example its unit.
+        expected: description of a valid value, or the valid value itself.
+        available: valid names to suggest instead of `found`, or of the key if `found` is None.
     """
 
     key: str = ""
@@ -184,7 +184,7 @@ class Problem:
 
     @property
     def message(self) -> str:
-        """The value that was found and the expected one, as a sentence."""
+        """Description of the error with the invalid and the expected value, but no location."""
         message = self.reason or "found"
         if self.found is not None or not self.reason:
             message += f" {shown(self.found)}"
@@ -253,7 +253,7 @@ def raise_any(problems: Sequence[Problem]) -> None:
 
 
 def problems_of(error: Exception, key: str = "") -> list[Problem]:
-    """Returns the problems of an error inside `key`, or one problem with the text of the error."""
+    """Converts an error to problems whose keys begin with `key`."""
     if isinstance(error, DeclarationError):
         return [problem.inside(key) for problem in error.problems]
     if isinstance(error, UnknownName) and not error.hint:
@@ -263,7 +263,7 @@ def problems_of(error: Exception, key: str = "") -> list[Problem]:
 
 @contextmanager
 def collect(problems: list[Problem], key: str) -> Iterator[None]:
-    """Adds the problems of a `DeclarationError` that is raised in the context to a list."""
+    """Context manager that adds the problems of a raised `DeclarationError` to a list."""
     try:
         yield
     except DeclarationError as error:
@@ -271,7 +271,7 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
 
 
 class UnknownName(SeroError, KeyError):
-    """A name that does not exist, for example of a camera."""
+    """A name that does not exist, for example the name of a camera."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
@@ -366,7 +366,7 @@ class SimulationError(_ProblemError, RuntimeError):
     """A simulation that cannot continue. Data recorded up to this point is preserved.
 
     Attributes:
-        joint: name of the joint that caused the error, for example `lwr/A3`, or of another element.
+        joint: name of the joint or other element that caused the error, for example `lwr/A3`.
     """
 
     def __init__(self, time: float, joint: str, reason: Problem | str) -> None:
@@ -377,7 +377,7 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """A file requests actions for which it is not trusted, see `base.trust`."""
+    """A request for actions in a file that is not trusted, see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
@@ -388,7 +388,7 @@ class NotTrusted(SeroError, PermissionError):
 
 
 class RenderError(_ProblemError, RuntimeError):
-    """No image can be rendered or written, for example because there is no OpenGL."""
+    """An image that cannot be rendered or written, for example because OpenGL is unavailable."""
 
 
 class ClusterError(_ProblemError, ConnectionError):
@@ -401,7 +401,7 @@ class ClusterError(_ProblemError, ConnectionError):
 
 
 def about_fault(error: Exception, kind: type) -> str:
-    """Returns type, text and location of an error raised by third-party code.
+    """Returns the type, text and location of an error raised by third-party code.
 
     The location is the innermost line of the traceback in the file of the class `kind`.
     """

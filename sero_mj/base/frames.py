@@ -21,14 +21,13 @@ _NICE = (1.0, 2.0, 5.0)
 _ROTATION_KEYS = ("rpy", "rpy_deg", "quat")
 # Accepts rotations that are typed with four digits, such as 0.7071.
 _TYPED_ROTATION_TOLERANCE = 1e-3
-
-
+NOT_A_ROTATION = "the upper left 3 x 3 part is not a rotation (orthonormal, determinant +1)"
 # Reflects a frame T at the xz plane: MIRROR @ T @ MIRROR.
 MIRROR = np.diag([1.0, -1.0, 1.0, 1.0])
 
 
 def rotation_about(axis: int, angle: float | Array) -> Array:
-    """Rotation matrices (..., 3, 3) about axis 0, 1 or 2 (x, y or z) by angles (...) in rad."""
+    """Returns matrices (..., 3, 3) that rotate by angles (...) in rad about axis 0, 1, 2 (xyz)."""
     c, s = np.cos(angle), np.sin(angle)
     matrix = np.zeros((*np.shape(angle), 3, 3))
     matrix[..., axis, axis] = 1.0
@@ -39,10 +38,10 @@ def rotation_about(axis: int, angle: float | Array) -> Array:
 
 
 def empty_transforms(shape: tuple[int, ...]) -> Array:
-    """Returns transforms (*shape, 4, 4) that are zero except for their last row.
+    """Returns transforms (*shape, 4, 4) with the last row 0 0 0 1 and zeros above it.
 
-    Each element is contiguous over `shape`: computing 1000 poses of seven joints takes 250 us
-    instead of 375 us.
+    Each matrix element is contiguous over `shape`, which reduces the time for computing 1000 poses
+    of seven joints from 375 us to 250 us.
     """
     T = np.zeros((4, 4, *shape)).transpose(*range(2, len(shape) + 2), 0, 1)
     T[..., 3, 3] = 1.0
@@ -63,13 +62,13 @@ def rotation_to_z(rotation: Array, axis: Array) -> Array:
 
 
 def rotation_from_rpy(rpy: Array) -> Array:
-    """Rotation (3, 3) from roll, pitch, yaw in rad about the fixed x, y, z axes (as in URDF)."""
+    """Returns the rotation (3, 3) by roll, pitch, yaw in rad about fixed x, y, z axes (URDF)."""
     roll, pitch, yaw = rpy
     return rotation_about(2, yaw) @ rotation_about(1, pitch) @ rotation_about(0, roll)
 
 
 def rpy_from_rotation(rotation: Array) -> Array:
-    """Roll, pitch, yaw (3,) in rad of a rotation (3, 3); yaw is zero where pitch is 90 degrees."""
+    """Returns roll, pitch, yaw in rad of a rotation (3, 3). Yaw is zero at ±90 degrees of pitch."""
     R = rotation
     across = float(np.hypot(R[0, 0], R[1, 0]))
     pitch = np.arctan2(-R[2, 0], across)
@@ -79,7 +78,7 @@ def rpy_from_rotation(rotation: Array) -> Array:
 
 
 def rotation_from_quat(quat: Array) -> Array:
-    """Rotation (3, 3) from a unit quaternion w, x, y, z."""
+    """Returns the rotation (3, 3) of a quaternion w, x, y, z, which need not have unit length."""
     quat = quat / np.abs(quat).max()  # squares of huge numbers would overflow
     w, x, y, z = quat / np.linalg.norm(quat)
     return np.array(
@@ -92,13 +91,13 @@ def rotation_from_quat(quat: Array) -> Array:
 
 
 def quat_from_rotation(rotation: Array) -> Array:
-    """Unit quaternion w, x, y, z (4,) of a rotation (3, 3), with w of 0 or more.
+    """Returns the unit quaternion w, x, y, z of a rotation (3, 3), with a non-negative w.
 
-    Of the four formulas the one with the largest divisor (Shepperd 1978).
+    Uses the formula with the largest divisor out of four (Shepperd 1978).
     """
     R = rotation
     trace = float(np.trace(R))
-    squares = np.array([trace, *np.diag(R)])  # 4 w2 - 1, ... up to the same terms
+    squares = np.array([trace, *np.diag(R)])  # the largest belongs to the largest component
     k = int(np.argmax(squares))
     if k == 0:
         quat = np.array([1 + trace, R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]])
@@ -113,7 +112,7 @@ def quat_from_rotation(rotation: Array) -> Array:
 
 
 def frame(rotation: Array | None = None, position: Array | None = None) -> Array:
-    """Builds a 4x4 frame from a rotation (3, 3) and a position (3,) in m; identity by default."""
+    """Returns a 4x4 frame with a rotation (3, 3) and a position (3,) in m (default: identity)."""
     matrix = np.eye(4)
     if rotation is not None:
         matrix[:3, :3] = rotation
@@ -123,7 +122,7 @@ def frame(rotation: Array | None = None, position: Array | None = None) -> Array
 
 
 def inverse(T_a_b: Array) -> Array:
-    """Returns T_b_a of rigid frames (..., 4, 4)."""
+    """Returns the inverses `T_b_a` of rigid frames `T_a_b`, shape (..., 4, 4)."""
     result = np.zeros_like(T_a_b)
     transposed = np.swapaxes(T_a_b[..., :3, :3], -1, -2)
     result[..., :3, :3] = transposed
@@ -133,12 +132,12 @@ def inverse(T_a_b: Array) -> Array:
 
 
 def rotation_angle(rotation: Array) -> float:
-    """Angle (rad) of a rotation matrix (3, 3), exact near 0 and near pi."""
+    """Returns the angle in rad of a rotation matrix (3, 3), accurate near 0 and near pi."""
     return float(rotation_angles(rotation))
 
 
 def rotation_angles(rotations: Array) -> Array:
-    """Angles (...,), rad, of rotation matrices (..., 3, 3), exact near 0 and near pi."""
+    """Returns the angles (...,) in rad of rotations (..., 3, 3), accurate near 0 and near pi."""
     twice = rotations - rotations.mT
     sine = 0.5 * np.sqrt(twice[..., 2, 1] ** 2 + twice[..., 0, 2] ** 2 + twice[..., 1, 0] ** 2)
     cosine = 0.5 * (np.trace(rotations, axis1=-2, axis2=-1) - 1.0)
@@ -149,7 +148,7 @@ def frame_from(value: Any, numbers: Callable[[Any], Array]) -> Array:
     """Parses a frame from a file or a user.
 
     Args:
-        value: rows of a 4x4 matrix, 16 numbers row by row, or a mapping with `xyz` (m) and one of
+        value: 4x4 matrix, list of its 16 numbers row by row, or mapping with `xyz` (m) and one of
             `rpy` (rad), `rpy_deg`, `quat` (w, x, y, z).
         numbers: function that converts a list to a float64 array.
 
@@ -177,7 +176,7 @@ def nearest_rotation(matrix: Array) -> Array:
     far = np.abs(matrix).max() > 2.0
     off = np.inf if far else float(np.abs(matrix @ matrix.T - np.eye(3)).max())
     if off > _TYPED_ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
-        raise ValueError("upper left 3 x 3 is not a rotation (orthonormal, determinant +1)")
+        raise ValueError(NOT_A_ROTATION)
     if off < 1e-14:
         return matrix
     u, _, vt = np.linalg.svd(matrix)
@@ -217,6 +216,6 @@ def _frame_from_table(table: Mapping[str, Any], numbers: Callable[[Any], Array])
 
 
 def round_down_1_2_5(value: float) -> float:
-    """Returns the largest value 1, 2 or 5 times a power of ten that is at most `value`."""
+    """Rounds a positive value down to 1, 2 or 5 times a power of ten."""
     power = 10.0 ** np.floor(np.log10(value))
     return float(max(step for step in _NICE if step * power <= value * (1 + 1e-9)) * power)

@@ -1,4 +1,4 @@
-"""`Once`: reports each text once."""
+"""Filter for texts that are reported only once."""
 
 from __future__ import annotations
 
@@ -6,13 +6,13 @@ _MAX_TEXTS = 100
 
 
 class Once:
-    """Stores the texts that were reported."""
+    """A filter for texts such as warnings, which are to be reported only once."""
 
     def __init__(self) -> None:
         self._texts: set[str] = set()
 
     def __call__(self, text: str) -> bool:
-        """Returns whether to report a text: it is new and one of the first hundred texts."""
+        """Returns whether a text is new. After a hundred different texts, returns False."""
         is_new = text not in self._texts and len(self._texts) < _MAX_TEXTS
         if is_new:
             self._texts.add(text)

@@ -1,7 +1,7 @@
-"""`Options`: base class of the options of commands, which Python programs use as well.
+"""Base class of the options of commands, which can also be set in Python.
 
-The field `some_name` is the option `--some-name`, and its description under "Attributes:" in the
-docstring is the help text. `cli.options` creates the parser.
+The field `some_name` becomes the option `--some-name`, and its description under "Attributes:" in
+the docstring becomes the help text. `cli.options` creates the parser.
 """
 
 from __future__ import annotations
@@ -27,12 +27,12 @@ from .errors import UsageError, shown
 
 @dataclass(frozen=True)
 class Option:
-    """Command-line form of a field, if it does not follow from its name and type.
+    """Command-line form of a field of `Options`, if it differs from the default form.
 
     Attributes:
-        metavar: placeholder of the value in help texts (default: the name in capital letters).
-        flags: all names of the option, the long one last (default: `--` and the field name).
-        bare: value of the option without an argument; None if it requires one.
+        metavar: placeholder of the value in help texts (default: field name in capital letters).
+        flags: all names of the option, the long name last (default: `--` and the field name).
+        bare: value of the option if it has no argument; None if it requires an argument.
         is_positional: whether the field is a positional argument.
     """
 
@@ -50,7 +50,7 @@ def positional(metavar: str) -> Option:
 class Options(Declaration):
     """Base class of options that are set on the command line or in Python.
 
-    Fields accept text in addition to their own type.
+    Fields also accept their values as text.
 
     Attributes:
         title: title of the help section for these options; empty if there is no section.
@@ -61,7 +61,7 @@ class Options(Declaration):
 
     @classmethod
     def taken_from(cls, others: Options) -> Self:
-        """Returns these options with the values that other options share with them."""
+        """Creates options of this class from the fields that they share with other options."""
         shared = cls.model_fields.keys() & vars(others).keys()
         return cls(**{name: getattr(others, name) for name in shared})
 
@@ -85,7 +85,7 @@ class Options(Declaration):
         return [self.spelled(name) for name in names if name in self.model_fields_set]
 
     def refuse(self, names: Sequence[str], why: str) -> None:
-        """Raises UsageError with a reason if one of these options was set."""
+        """Raises UsageError if one of the named options was set; `why` completes its message."""
         for spelled in self.set_among(*names):
             raise UsageError(f"{spelled}{why}")
 
@@ -100,7 +100,7 @@ def _metadata(kind: Any) -> Iterator[Any]:
 
 
 def ending(*endings: str, expected: str = "") -> AfterValidator:
-    """Returns a validator for file names with one of these extensions, see `expected`."""
+    """Returns a validator for file name extensions, which `expected` describes in errors."""
 
     def validate(path: Path | None) -> Path | None:
         if path is not None and path.suffix.lower() not in endings:
@@ -112,7 +112,7 @@ def ending(*endings: str, expected: str = "") -> AfterValidator:
 
 
 def split_at(separator: str) -> BeforeValidator:
-    """Returns a validator that splits a text into several values."""
+    """Returns a validator that splits a text at a separator into several values."""
 
     def validate(value: Any) -> Any:
         if not isinstance(value, str):
@@ -123,7 +123,7 @@ def split_at(separator: str) -> BeforeValidator:
 
 
 def whole(minimum: int, maximum: int, words: str = "") -> WrapValidator:
-    """Returns a validator for integers in a range, which `words` describes."""
+    """Returns a validator for integers in a range, which `words` describes in errors."""
     words = words or f"a whole number from {minimum} to {maximum}"
 
     def validate(value: Any, handler: ValidatorFunctionWrapHandler) -> int:
@@ -139,16 +139,15 @@ def whole(minimum: int, maximum: int, words: str = "") -> WrapValidator:
 
 
 Positive = Annotated[float, Field(gt=0), expecting("a number above 0")]
-NotNegative = Annotated[float, Field(ge=0), expecting("0 or a number above")]
+NotNegative = Annotated[float, Field(ge=0), expecting("a number of 0 or more")]
 Duration = Annotated[Positive, Option("S")]
 Time = Annotated[NotNegative, Option("S")]
 Count = Annotated[int, whole(1, 10**15 - 1, "a whole number above 0"), Option("N")]
-Seed = Annotated[int, whole(0, 2**32 - 1, "a whole number from 0"), Option("N")]
+Seed = Annotated[int, whole(0, 2**32 - 1, "a whole number of 0 or more"), Option("N")]
 Port = Annotated[int, whole(1, 65535, "a port from 1 to 65535")]
 _Length = Annotated[int, Field(gt=0)]
 Size = Annotated[
     tuple[_Length, _Length], split_at("x"), expecting("WIDTHxHEIGHT, e.g. 1280x800"), Option("WxH")
 ]
-JointValues = Annotated[
-    tuple[float, ...], split_at(","), expecting("numbers with commas, e.g. 0,0.5,-1.2"), Option("Q")
-]
+_JOINT_VALUES = expecting("numbers separated by commas, e.g. 0,0.5,-1.2")
+JointValues = Annotated[tuple[float, ...], split_at(","), _JOINT_VALUES, Option("Q")]

@@ -1,4 +1,4 @@
-"""Finds included and named files, and opens them without blocking or reading too much.
+"""Finds included and named files, and opens files without blocking and with size limits.
 
 `models/` and `scenes/` are inside the wheel, or beside the package in a checkout.
 """
@@ -24,7 +24,7 @@ ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
 _GENERIC_NAMES = ("robot", "model", "scene", "main")
 # In third-party folders: the scene with a floor, and subfolders that may contain models.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")
-BAG_ENDINGS = (".mcap", ".db3")  # of the files of ROS 2's recordings
+BAG_ENDINGS = (".mcap", ".db3")  # file name extensions of ROS 2 recordings
 _MODELS = ("a URDF file", "an MJCF file")
 _PACKAGE = Path(__file__).resolve().parents[1]
 _KINDS = (
@@ -53,22 +53,22 @@ def _shipped(folder: str) -> Path:
 
 
 def models_dir() -> Path:
-    """Folder with one subfolder per included robot."""
+    """Returns the folder with one subfolder per included robot."""
     return _shipped("models")
 
 
 def scenes_dir() -> Path:
-    """Folder with the included scene files."""
+    """Returns the folder with the included scene files."""
     return _shipped("scenes")
 
 
 def robot_endings() -> tuple[str, ...]:
-    """File name extensions of robot files in other formats than TOML."""
+    """Returns the file name extensions of robot files in other formats than TOML."""
     return _endings(of_scenes=False)
 
 
 def scene_endings() -> tuple[str, ...]:
-    """File name extensions of scene files in other formats than TOML."""
+    """Returns the file name extensions of scene files in other formats than TOML."""
     return _endings(of_scenes=True)
 
 
@@ -81,22 +81,22 @@ def _endings(*, of_scenes: bool) -> tuple[str, ...]:
 
 
 def list_models() -> list[str]:
-    """Names of the included robots."""
+    """Returns the names of the included robots."""
     return _models_in(models_dir(), ROBOT_FILE)
 
 
 def list_group_models() -> list[str]:
-    """Names of the included models that are groups of robots."""
+    """Returns the names of the included groups of robots."""
     return _models_in(models_dir(), GROUP_FILE)
 
 
 def list_scenes() -> list[str]:
-    """Names of the included scenes."""
+    """Returns the names of the included scenes."""
     return _toml_files(scenes_dir())
 
 
 def list_all() -> list[str]:
-    """All included names: robots, groups of robots, scenes and scenarios."""
+    """Returns the names of all included robots, groups of robots, scenes and scenarios."""
     return [*list_models(), *list_group_models(), *list_scenes(), *list_scenarios()]
 
 
@@ -118,10 +118,9 @@ def find_model(name: str, beside: Path | None = None) -> Path:
     """Returns the file of a robot.
 
     Args:
-        name: name of an included robot, folder with a `robot.toml`, or file (TOML, or one of
-            `robot_endings()`). In other folders this is `scene.xml`, or else the only URDF or MJCF
-            file.
-        beside: folder of relative paths (default: the working directory).
+        name: name of an included robot, or path of a file or folder. In a folder, the robot is
+            `robot.toml`, or else `scene.xml`, or else the only URDF or MJCF file.
+        beside: folder to which relative paths refer (default: the working directory).
 
     Raises:
         UnknownName: there is no such robot. The error lists the available robots.
@@ -133,8 +132,8 @@ def find_model(name: str, beside: Path | None = None) -> Path:
 def find_group_model(name: str, beside: Path | None = None) -> Path:
     """Returns the file of a group of robots.
 
-    The name is that of an included group, of a folder with a `group.toml`, or of a TOML file.
-    Raises UnknownName if there is no such group. The error lists the available groups.
+    `name` is the name of an included group, a folder with a `group.toml`, or a TOML file. Raises
+    UnknownName if there is no such group. The error lists the available groups.
     """
     return _find_model("model of a group", name, beside, GROUP_FILE)
 
@@ -168,12 +167,12 @@ def robot_places() -> list[Any]:
 
 
 def _plain(path: Path) -> Path:
-    plain = Path(os.path.normpath(path))  # a/../b is not b where a is a link
+    plain = Path(os.path.normpath(path))  # if a is a link, a/../b may differ from b
     return plain if plain.exists() and plain.samefile(path) else path
 
 
 def model_in(folder: Path) -> Path | None:
-    """Returns the model in a third-party folder: the scene, or else the only model, or None.
+    """Returns `scene.xml` or the only model file in a third-party folder, or None.
 
     Raises DeclarationError if there are several models.
     """
@@ -211,16 +210,16 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
     if not is_read and os.path.exists(path) and not os.path.isdir(path):
         try:
             with open_file(path) as file:
-                found = format_of(file.read(_HEAD_BYTES)) or "no file of a robot or a scene"
+                found = format_of(file.read(_HEAD_BYTES)) or "not a robot or scene file"
         except OSError as error:
             what = f"cannot be read: {error.strerror}"
         else:
-            what = f"is {found}; expected one of {', '.join(read)}"
+            what = f"is {found}; expected a file that ends in {', '.join(read)}"
         raise Problem("", what, str(path)).error()
     if is_read:
         try:
             open_file(path).close()
-            return  # it is of another kind than the requested file
+            return  # the file has another kind than the requested one
         except IsADirectoryError:
             what = "is a folder; expected a file"
         except (FileNotFoundError, NotADirectoryError):
@@ -228,7 +227,7 @@ def _refuse_path(name: str, beside: Path | None = None) -> None:
             near = nearest(path.stem, others)
             what = "no such file" + (f"; did you mean '{near}{path.suffix}'?" if near else "")
             if path.is_symlink():
-                what = f"is a link to {os.readlink(path)}, which is not there"
+                what = f"is a link to {os.readlink(path)}, which does not exist"
         except OSError as error:
             what = f"cannot be read: {error.strerror}"
         raise Problem("", what, str(path)).error()
@@ -250,7 +249,7 @@ def format_of(contents: bytes) -> str | None:
 
 
 def read_head(path: Path) -> bytes:
-    """The first 100 kB of a file; empty if it is unreadable."""
+    """Returns the first 100 kB of a file; empty if the file is unreadable."""
     try:
         with open_file(path) as file:
             return file.read(_HEAD_BYTES)
@@ -259,7 +258,7 @@ def read_head(path: Path) -> bytes:
 
 
 def format_of_file(path: Path) -> str | None:
-    """Returns the format of a file like `format_of`, or None for an unreadable file."""
+    """Returns the third-party format of a robot or scene file, or None, see `format_of`."""
     return format_of(read_head(path))
 
 
@@ -288,19 +287,19 @@ def model_name(path: Path) -> str:
 
 
 def file_hint(name: str) -> str:
-    """Returns a hint if the file NAME.toml exists but only NAME was entered, or an empty text."""
+    """Returns a hint to enter NAME.toml instead of NAME if this file exists, or an empty text."""
     if "\0" in name or not os.path.isfile(Path(f"{name}.toml")):
         return ""
     return f"; did you mean the file {name}.toml?"
 
 
 def scenarios_dir() -> Path:
-    """Folder with the included scenarios."""
+    """Returns the folder with the included scenarios."""
     return scenes_dir() / "scenarios"
 
 
 def list_scenarios() -> list[str]:
-    """Names of the included scenarios."""
+    """Returns the names of the included scenarios."""
     return _toml_files(scenarios_dir())
 
 
@@ -339,7 +338,7 @@ def make_temporary_folder() -> Path:
 
 
 def is_temporary(path: Path | str) -> bool:
-    """Whether a file is in a temporary folder of this process."""
+    """Returns whether a file is in a temporary folder of this process."""
     if not _temporary.cache_info().currsize:  # none was created
         return False
     return Path(path).is_relative_to(Path(_temporary().name).resolve())
@@ -354,7 +353,7 @@ def without_temporary(text: str) -> str:
 
 
 def bag_files_in(folder: Path | str) -> list[Path]:
-    """Returns the files of a ROS 2 recording without metadata.yaml, in order.
+    """Returns the files of a ROS 2 recording in order, without using its metadata.yaml.
 
     The recorder writes metadata.yaml at the end, so it is missing after a crash. A recording is a
     single file, or `NAME_0.mcap`, `NAME_1.mcap` and so on, into which `ros2 bag record` splits long
@@ -381,7 +380,7 @@ def bag_files_in(folder: Path | str) -> list[Path]:
 
 
 def bag_file_in(folder: Path | str) -> Path | None:
-    """Returns the file of a recording that consists of one file, or None."""
+    """Returns the file of a ROS 2 recording that consists of a single file, or None."""
     found = bag_files_in(folder)
     return found[0] if len(found) == 1 else None
 
@@ -420,7 +419,7 @@ def read_file(path: Path | str, max_bytes: int) -> bytes:
 
 
 def argument_of(file: Path) -> str:
-    """Returns how to name a file on the command line: by its included name, or by its path."""
+    """Returns the command-line argument for a file, which is its included name or its path."""
     name = model_name(file) if file.name == ROBOT_FILE else file.stem
     # Other names are not searched for, because that might download a robot (`robot_places`).
     is_near = shipped_file(name) is not None or os.path.exists(name)

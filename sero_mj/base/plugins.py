@@ -1,6 +1,6 @@
 """Entry points of sero-mj and of third-party packages.
 
-docs/plugins.md lists the groups. A package adds a kind in its pyproject.toml:
+docs/plugins.md lists the groups. For example, a package adds a kind of source in pyproject.toml:
 
     [project.entry-points."sero_mj.sources"]
     json = "my_package:JsonLines"
@@ -33,7 +33,7 @@ EXPLAINERS, BACKGROUNDS = "sero_mj.explainers", "sero_mj.backgrounds"
 SENDERS, KNOWN_PACKETS = "sero_mj.senders", "sero_mj.known_packets"
 SNIFFERS, TABLES = "sero_mj.sniffers", "sero_mj.tables"
 LISTED, RENDERERS, ENGINES = "sero_mj.listed", "sero_mj.renderers", "sero_mj.engines"
-_WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # classes that repeat the name in a field `kind`
+_WITH_KIND = (CONTROLLERS, TARGET_MOTIONS)  # groups whose classes repeat the name as `kind`
 _OWN = "sero_mj"
 
 
@@ -47,7 +47,7 @@ def _entry_points() -> EntryPoints:
 
 @cache
 def plugins(group: str) -> Mapping[str, EntryPoint]:
-    """Returns the entry points of a group by name. Those of sero-mj cannot be replaced."""
+    """Returns the entry points of a group by name. sero-mj takes precedence over other packages."""
     found: dict[str, EntryPoint] = {}
     points = _entry_points().select(group=group)
     for point in sorted(points, key=lambda point: not is_own(point)):
@@ -62,17 +62,17 @@ def forget_plugins() -> None:
 
 
 def is_own(point: EntryPoint) -> bool:
-    """Whether an entry point is part of sero-mj."""
+    """Returns whether an entry point is part of sero-mj."""
     return point.value.partition(".")[0] == _OWN
 
 
 def is_own_class(kind: type) -> bool:
-    """Whether a class is part of sero-mj."""
+    """Returns whether a class is part of sero-mj."""
     return kind.__module__.partition(".")[0] == _OWN
 
 
 def accept_old_names(kind: type, renamed: Mapping[str, str]) -> None:
-    """Sets the current attributes of a third-party class that defines them by earlier names.
+    """Copies attributes of a third-party class from their earlier names to their current names.
 
     `renamed` maps earlier names to current names. Each earlier name causes a DeprecationWarning.
     """
@@ -111,9 +111,9 @@ def load_plugin(group: str, name: str, base: type | None = None) -> Any:
 
 @cache
 def load_all(group: str, base: type | None = None) -> Mapping[str, Any]:
-    """Returns all loaded entry points of a group by name, which must be subclasses of `base`.
+    """Loads all entry points of a group, and returns them by name.
 
-    Entry points that cannot be loaded are skipped, with one warning in the log.
+    Entry points that cannot be loaded, or are not subclasses of `base`, are skipped with a warning.
     """
     found: dict[str, Any] = {}
     for name in plugins(group):

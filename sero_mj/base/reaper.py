@@ -16,11 +16,11 @@ from contextlib import suppress
 from pathlib import Path
 
 _GRACE = 5.0  # s between SIGTERM and SIGKILL
-_EVERY = 1.0  # s between checks of the parent: a forked copy of it leaves the input open
+_EVERY = 1.0  # s between checks of the parent, because a forked copy of it leaves the input open
 
 
 def main(parent: int) -> None:
-    """Reads entries until the parent process has died, then ends and removes the listed items.
+    """Reads entries until the parent process has died, then ends its groups and removes its files.
 
     Each entry ends with a NUL byte. `+g` and a number add a process group, `+p` and a path add a
     file or folder, `-g` and `-p` remove an entry.

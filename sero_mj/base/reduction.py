@@ -8,13 +8,13 @@ from .frames import Array
 
 
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
-    """Returns the points with the smallest and the largest value of each bin.
+    """Returns the times and values of the minimum and the maximum in each of `bins` intervals.
 
     All returned points are input points, so no peak is lost or lowered. If there are at most two
     points per bin, all points are returned. A bin without any known value becomes a gap.
 
     Args:
-        times: increasing times, shape (T,), s.
+        times: increasing times in seconds, shape (T,).
         values: values at these times, shape (T,); NaN if unknown.
     """
     count = len(times)
@@ -34,13 +34,13 @@ def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
 
 
 def peak(values: Array) -> int | None:
-    """Returns the index of the value (T,) with the largest magnitude; None if all are NaN."""
+    """Returns the index of the value with the largest magnitude, or None if all values are NaN."""
     if not np.isfinite(values).any():
         return None
     return int(np.argmax(np.where(np.isfinite(values), np.abs(values), -1.0)))
 
 
 def rms(values: Array) -> float:
-    """Returns the root mean square of the values (T,) that are not NaN; NaN if all are."""
+    """Returns the root mean square of the values that are not NaN, or NaN if all values are NaN."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan

@@ -17,10 +17,10 @@ from .paths import format_of, read_file
 
 _MCAP = b"\x89MCAP"
 _MAX_BYTES = 20_000_000
-_MAX_PARTS = 100  # parts of a dotted key: the parsing time grows with their square
+_MAX_PARTS = 100  # parts of a dotted key, because the parsing time grows with their square
 # A key or table takes 1 kB of memory while parsing.
 _MAX_NAMES, _MAX_VALUES = 100_000, 2_000_000
-# Quotes and comments match as a whole; an unclosed one ends with its line.
+# Quotes and comments match as a whole. An unclosed quote ends with its line.
 _LONG_TEXT = (
     r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"{3,5}|\Z)'
     r"|'''(?:[^']|'(?!''))*+(?:'{3,5}|\Z)"
@@ -45,7 +45,7 @@ _NAMES_AND_VALUES = re.compile(
 )
 _MAX_CACHED = 100_000  # characters of a text whose results are cached
 _Found = TypeVar("_Found")
-_MAX_ROWS = 300  # rows of an array with line numbers per entry: the time grows with the square
+_MAX_ROWS = 300  # rows of an array whose entries get line numbers, in quadratic time
 
 
 def read_toml(path: Path) -> dict[str, Any]:
@@ -134,7 +134,7 @@ def _check_counts(text: str) -> None:
             names += parts if found["ends"] else 0
             values += 0 if found["ends"] else 1
         for count, maximum, what in (
-            (parts, _MAX_PARTS, "parts of a key with dots"),
+            (parts, _MAX_PARTS, "parts of a dotted key"),
             (names, _MAX_NAMES, "keys and tables"),
             (values, _MAX_VALUES, "values"),
         ):
@@ -219,7 +219,7 @@ def _statements(text: str) -> Iterator[tuple[int, str]]:
 
 
 def _entry_lines(statement: str, parsed: dict[str, Any]) -> tuple[int, dict[str, int]]:
-    """Returns the number of key parts of an array entry, and line offsets by key.
+    """Returns the number of key parts of an array entry, and the line offset of each entry.
 
     Parses the text up to the end of each line, after closing the array there.
     """
@@ -264,7 +264,7 @@ def _keys(value: Any, prefix: str = "") -> Iterator[str]:
 def located(
     problems: Iterable[Problem], path: Path, lines: Mapping[str, int] | None = None
 ) -> list[Problem]:
-    """Returns problems with their file, and with the line of their key or of a parent key.
+    """Adds a file to problems, and the line number of their key or of a parent key.
 
     Problems that already name a file are returned unchanged. `lines` contains the line numbers by
     dotted key (default: read from the file).

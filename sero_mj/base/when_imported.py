@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def when_imported(package: str) -> None:
-    """Calls the function for a package, now or as soon as the package is imported."""
+    """Calls the function for a package now, or as soon as the package is imported."""
     if package in sys.modules:
         _call(package)
     elif not any(isinstance(each, _Finder) and each.package == package for each in sys.meta_path):
@@ -32,7 +32,7 @@ def _call(package: str) -> None:
 
 
 class _Finder:  # importing importlib.abc.MetaPathFinder would take 10 ms
-    """Finds no modules. Wraps the loader of the package that another finder has found."""
+    """Wraps the loader of a package that another finder has found, and finds no modules itself."""
 
     def __init__(self, package: str) -> None:
         self.package = package

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 _Words = NDArray[np.uint32]
 
-_BLOCK = 256  # bytes in the tables of a CRC
+_BLOCK = 256  # bytes of a message that the tables of a CRC cover
 
 
 @dataclass(frozen=True)
 class Crc:
-    """Parameters of a CRC, in the terms of the catalogue.
+    """Parameters of a cyclic redundancy check, named as in the catalogue.
 
     Attributes:
-        width: number of bits, 8, 16 or 32.
-        is_reflected: both `refin` and `refout` of the catalogue.
+        width: number of bits: 8, 16 or 32.
+        is_reflected: value of both `refin` and `refout` in the catalogue.
         check: CRC of the ASCII text `123456789`.
     """
 
@@ -55,7 +55,7 @@ CRCS = {
     "CRC-32/BZIP2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0xFFFFFFFF, 0xFC891918),
     "CRC-32/MPEG-2": Crc(32, 0x04C11DB7, 0xFFFFFFFF, False, 0x00000000, 0x0376E6E7),
 }
-# Aliases in the catalogue and in libraries.
+# Other names of CRCs in the catalogue and in libraries.
 ALIASES = {
     "CRC-8": "CRC-8/SMBUS",
     "CRC-16": "CRC-16/ARC",
@@ -71,7 +71,7 @@ SUMS = ("sum", "-sum", "~sum", "xor")
 
 
 def find_checksum(name: str) -> str | None:
-    """Returns the name of a checksum from an alias or from any letter case; None if unknown."""
+    """Returns the official name of a checksum for an alias in any letter case; None if unknown."""
     for spelled in (name.lower(), name.upper()):
         if spelled in (*SUMS, *CRCS):
             return spelled
@@ -81,18 +81,18 @@ def find_checksum(name: str) -> str | None:
 
 
 def width_of(name: str) -> int | None:
-    """Returns the number of bits of a checksum; None for sums, which can have any width."""
+    """Returns the width of a checksum in bits, or None for sums, which can have any width."""
     return CRCS[name].width if name in CRCS else 8 if name == "xor" else None
 
 
 def compute(name: str, rows: NDArray[np.uint8], bits: int) -> NDArray[np.uint64]:
-    """Returns the checksums of n packets, (n,).
+    """Computes the checksums of n packets, shape (n,).
 
     Args:
-        name: one of `CRCS` or `SUMS`: the sum of all bytes, its two's complement (`-sum`), its
-            inverted bits (`~sum`), or their exclusive or (`xor`).
-        rows: covered bytes of each packet, (n, k), k >= 1.
-        bits: width of the result; sums are computed modulo 2**bits.
+        name: name in `CRCS`, or `sum` (sum of all bytes), `-sum` (two's complement of the sum),
+            `~sum` (sum with inverted bits) or `xor` (exclusive or of all bytes).
+        rows: covered bytes of each packet, shape (n, k), k >= 1.
+        bits: width of the checksum in bits; sums are computed modulo 2**bits.
     """
     if name in CRCS:
         return _crcs(CRCS[name], rows).astype(np.uint64)

@@ -1,4 +1,4 @@
-"""TCP clients: `ConnectingSource` connects to a server, and reconnects when needed."""
+"""TCP clients: sources that connect to a server, and reconnect when the connection is lost."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from ...base.errors import mismatch
 from .receiving_thread import Closing, Disconnected
 from .source import Source
 
-PATIENCE = 2.0  # s; timeout of an answer, and of the next packet
-_MAX_REJECTED_BYTES = 2048  # of a malformed message in recordings
+PATIENCE = 2.0  # timeout in s for an answer and for the next packet
+_MAX_REJECTED_BYTES = 2048  # bytes of a malformed message that are recorded
 
 
 def is_address(expected: str) -> Callable[[str], str]:
-    """Returns a validator of host names and addresses; `expected` is for its error."""
+    """Returns a validator of host names and addresses, which `expected` describes in errors."""
 
     def validate(host: str) -> str:
         if not host or any(character.isspace() for character in host):
@@ -39,10 +39,10 @@ Address = Annotated[str, AfterValidator(is_address("an address such as 192.168.0
 
 
 class ProtocolError(Exception):
-    """The peer violates the protocol or refuses the connection.
+    """Raised if the peer violates the protocol or refuses the connection.
 
     Args:
-        received: the malformed message, which is counted and recorded; may be empty.
+        received: malformed message, which is counted and recorded; may be empty.
     """
 
     def __init__(self, text: str, received: bytes = b"") -> None:
@@ -51,9 +51,9 @@ class ProtocolError(Exception):
 
 
 class ConnectingSource(Source):
-    """A source that connects to a TCP server, and reconnects when the connection is lost.
+    """Base class of sources that connect to a TCP server, and reconnect when necessary.
 
-    A subclass sets `protocol`, the name of its protocol for display, and implements `converse`.
+    A subclass sets `protocol`, the displayed name of its protocol, and implements `converse`.
 
     Attributes:
         host: address of the server.
@@ -65,7 +65,7 @@ class ConnectingSource(Source):
 
     protocol: ClassVar[str] = "TCP"
     if_refused: ClassVar[str] = ""  # hint that follows the error of a refused connection
-    _state: str = PrivateAttr("")  # of the connection, for display
+    _state: str = PrivateAttr("")  # displayed state of the connection
 
     @property
     def about(self) -> str:
@@ -83,15 +83,15 @@ class ConnectingSource(Source):
 
     @abstractmethod
     def converse(self, wake: socket.socket) -> None:
-        """Connects with a `Connection`, calls `note_connected`, and receives until it raises.
+        """Connects with a `Connection`, calls `note_connected`, and receives until an exception.
 
         Args:
             wake: socket that becomes readable when the source is being closed.
 
         Raises:
-            OSError: the connection cannot be made or is lost.
+            OSError: the connection cannot be established or is lost.
             Closing: the source is being closed.
-            ProtocolError: the peer violates the protocol or refuses.
+            ProtocolError: the peer violates the protocol or refuses the connection.
         """
 
     def _receive(self, wake: socket.socket) -> None:
@@ -110,7 +110,7 @@ class ConnectingSource(Source):
             self._state = ""
 
     def note_connected(self, state: str = "") -> None:
-        """Clears `trouble` and displays the state of the connection; counts a reconnection."""
+        """Clears `trouble`, sets the displayed connection state, and counts a reconnection."""
         if self.receive_trigger:
             self.intake.restart()
         self.note_trouble("")
@@ -118,10 +118,10 @@ class ConnectingSource(Source):
 
 
 def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
-    """Returns a non-blocking socket, connected to the first address of a host that accepts.
+    """Connects a non-blocking socket to the first address of a host that accepts, and returns it.
 
     Raises:
-        OSError: no address accepts within `PATIENCE`, or the name is unknown.
+        OSError: no address accepts within `PATIENCE`, or the host name is unknown.
         Closing: `wake` is readable.
     """
     failure = OSError("no address")
@@ -149,9 +149,9 @@ def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
 
 
 def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]]:
-    """Returns the addresses of a host as `socket.getaddrinfo` does; raises OSError or Closing.
+    """Returns the addresses of a host like `socket.getaddrinfo`; raises OSError or Closing.
 
-    Names are resolved in a thread, because that may take long and cannot be interrupted.
+    Names are resolved in a thread, because this may take long and cannot be interrupted.
     """
     with suppress(ValueError):
         ipaddress.ip_address(host.partition("%")[0])
@@ -164,7 +164,7 @@ def addresses(host: str, port: int, wake: socket.socket) -> list[tuple[Any, ...]
         with there:  # closing it makes `here` readable
             try:
                 found.extend(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM))
-            except UnicodeError:  # of invalid names
+            except UnicodeError:  # the name is invalid
                 failures.append(OSError("not an address"))
             except OSError as error:
                 failures.append(error)
@@ -188,7 +188,7 @@ def _wait(wake: socket.socket, sock: socket.socket, event: int, timeout: float |
 
 
 class Connection:
-    """A TCP connection that ends when `wake` becomes readable; raises OSError or Closing."""
+    """A TCP connection. Its methods raise OSError, or Closing as soon as `wake` is readable."""
 
     def __init__(self, host: str, port: int, wake: socket.socket) -> None:
         self._wake = wake
@@ -205,7 +205,7 @@ class Connection:
         self.socket.close()
 
     def watch(self, other: socket.socket) -> None:
-        """Adds another socket to those that `wait` waits for."""
+        """Adds a socket for which `wait` also waits."""
         self._selector.register(other, selectors.EVENT_READ)
 
     def wait(self, deadline: float | None = None, else_what: str = "") -> list[object]:
@@ -214,7 +214,7 @@ class Connection:
         Args:
             deadline: time at which `wait` raises TimeoutError, on the clock of `time.monotonic`;
                 None for no limit.
-            else_what: text of that error.
+            else_what: message of the TimeoutError.
         """
         timeout = None if deadline is None else max(deadline - clock.monotonic(), 0.0)
         found: list[object] = [key.fileobj for key, _ in self._selector.select(timeout)]
@@ -225,7 +225,7 @@ class Connection:
         return found
 
     def read(self) -> bytes:
-        """Returns the available bytes, at least one."""
+        """Reads the available bytes, at least one."""
         received = self.socket.recv(65536)
         if not received:
             raise ConnectionError("the peer closed the connection")

@@ -1,4 +1,4 @@
-"""`Intake`: checks packets, and separates those to apply from those that are only counted."""
+"""Checks received packets, counts them, and selects the packets to apply."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.frames import Array, Ints
+from ...base.frames import NOT_A_ROTATION, Array, Ints
 from .structure import LAST_ROW, LAST_ROW_TOLERANCE, Rows, Structure, are_frames
 from .tracking import (
     DUPLICATE,
@@ -23,22 +23,22 @@ from .tracking import (
     Timing,
 )
 
-# In the order of their updates: counts of malformed packets come last, because tests wait for them.
+# Counters in the order of their updates. Malformed packets are last, because tests wait for them.
 _COUNTED = ("duplicates", "late", "restarts", "blanked", "not_frames", "not_finite",
             "implausible", "wrong_constant", "wrong_checksum", "wrong_size",
             "received")  # fmt: skip
-_MAX_WIDTH = 4096  # bytes of a row, if a packet is malformed or encoded
+_MAX_WIDTH = 4096  # maximum bytes of a row if a packet is malformed or encoded
 
 
 def pad_packets(packets: Sequence[bytes], size: int) -> tuple[Rows, Ints]:
     """Converts n >= 1 packets to rows for `Intake.take` and recorders.
 
     Args:
-        size: size of a valid packet, bytes.
+        size: size of a valid packet in bytes.
 
     Returns:
-        rows (n, `size` or more) and lengths of the packets, (n,). In rows, short packets are padded
-        with zeros, and long packets are truncated to 4096 bytes or `size`.
+        rows, shape (n, `size` or more), and packet lengths, shape (n,). In rows, short packets are
+        padded with zeros, and long packets are truncated to 4096 bytes or `size`.
     """
     lengths = np.array([len(packet) for packet in packets], np.intp)
     width = max(size, min(int(lengths.max()), _MAX_WIDTH))
@@ -51,24 +51,24 @@ class Counters:
     """Counts of packets since the source was opened.
 
     Attributes:
-        wrong_constant: malformed packets with a number that differs from the structure's constant.
+        wrong_constant: malformed packets with a number other than the constant in the structure.
         wrong_checksum: malformed packets with a wrong checksum.
         not_finite: malformed packets with NaN or infinity where these are not allowed.
         not_frames: malformed packets with a matrix that is not a rigid frame.
         implausible: malformed packets with a number beyond its limit; see `Source.limit`.
-        foreign: packets of unexpected senders, which are not in `sender`. They are not checked.
-        late: packets that arrived after one with a higher number; applied only if no packet may be
-            lost.
-        duplicates: packets with a repeated sequence number; not applied.
-        restarts: restarts of the sender, detected by its numbers or its port.
+        foreign: packets of unexpected senders, not listed in `sender`. They are not checked.
+        late: packets that arrived after a packet with a higher sequence number. They are applied
+            only if no packet may be lost.
+        duplicates: packets with a repeated sequence number, which are not applied.
+        restarts: restarts of the sender, detected by its sequence numbers or its port.
         torn: reads of shared memory that failed because the writer was always writing.
         senders: number of concurrent senders within the last 2 s.
         blanked: applied packets with missing data; see `Source.allow_nan`.
-        superseded: valid packets that a later one has replaced before use. This is normal if a
-            robot sends faster than the frame rate.
+        superseded: valid packets that a newer packet replaced before their use. This is normal if
+            a robot sends faster than the frame rate.
         dropped: packets that the kernel has dropped.
-        failures: failures of reception, after each of which it restarted.
-        last_size: size of the last packet with a wrong size, bytes.
+        failures: failures of reception, which restarted after each failure.
+        last_size: size in bytes of the last packet with a wrong size.
         last_fault_time: arrival time of the last malformed packet on the clock of `Source.now`.
     """
 
@@ -111,13 +111,13 @@ class Intake:
     """Checks batches of packets from a socket, shared memory or a file.
 
     Args:
-        sequence: event with the sequence number; empty for none.
-        time: event with the send time; empty for none.
-        time_scale: seconds per unit of `time`.
+        sequence: name of the event with the sequence number; empty for none.
+        time: name of the event with the send time; empty for none.
+        time_scale: unit of the send time in seconds.
         lossless: whether late packets are applied.
-        nan_allowed: events in which NaN means missing data.
-        limits: event name to the maximum magnitude of each of its k numbers, (k,).
-        on_fault: called with the description of a malformed packet.
+        nan_allowed: names of the events in which NaN stands for missing data.
+        limits: mapping from event names to the maximum magnitudes of their k numbers, shape (k,).
+        on_fault: function called with the description of a malformed packet.
     """
 
     def __init__(
@@ -165,16 +165,17 @@ class Intake:
     def take(
         self, rows: Rows, lengths: Ints, arrivals: Array, senders: Rows | None = None
     ) -> tuple[Rows, Array]:
-        """Checks n >= 1 packets, and returns those to apply. Call `count` afterwards.
+        """Checks n >= 1 packets, and returns the packets to apply. Call `count` afterwards.
 
         Args:
-            rows: one packet per row, (n, `size` or more), or (n, any) for encoded packets.
-            lengths: lengths in bytes, (n,); larger than the row if a packet was truncated.
-            arrivals: arrival times, (n,), s.
-            senders: addresses, (n, any).
+            rows: one packet per row, shape (n, `size` or more), or (n, any) for encoded packets.
+            lengths: packet lengths in bytes, shape (n,); greater than a row for truncated packets.
+            arrivals: arrival times in seconds, shape (n,).
+            senders: sender addresses, shape (n, any).
 
         Returns:
-            rows (m, `size`) and arrivals (m,); views of the arguments if all packets are valid.
+            rows, shape (m, `size`), and arrival times, shape (m,), of the packets to apply. These
+            are views of the arguments if all packets are valid.
         """
         counters, layout = self._tally, self.layout
         counters.received += len(rows)
@@ -242,7 +243,7 @@ class Intake:
         self._fault(fault, arrivals[last])
 
     def decode(self, rows: Rows) -> dict[str, Array]:
-        """Decodes rows from `take`; infinity becomes NaN."""
+        """Decodes rows returned by `take`, and replaces infinity by NaN."""
         values = self.layout.decode_rows(rows)
         _blank_not_finite(values, self.nan_allowed, self.layout.matrices)
         return values
@@ -273,7 +274,7 @@ class Intake:
         self.count()
 
     def restart(self) -> None:
-        """Counts a restart of the sender that was not detected by its numbers."""
+        """Counts a restart of the sender that sequence numbers did not reveal."""
         self._lost_by_forgotten += sum(tracker.lost for tracker in self._trackers.values())
         self._trackers.clear()
         self.counters.restarts += 1
@@ -389,7 +390,7 @@ class Intake:
         return tracker
 
     def _note_senders(self, senders: Rows, arrivals: Array) -> int | None:
-        """Registers senders; returns the first row of a sender with another clock, or None."""
+        """Registers senders, and returns the first row of a sender with another clock, or None."""
         self._senders.note(senders, arrivals)
         for gone in self._senders.gone:  # the same program has restarted on another port
             self._tally.restarts += 1
@@ -439,11 +440,11 @@ def _blank_not_finite(
 def find_not_frame(
     values: Mapping[str, Array], events: Collection[str], *, column_major: bool
 ) -> str:
-    """Returns a description of the first matrix that is not a rigid frame or NaN, or "".
+    """Describes the first matrix that is not a rigid frame or NaN; returns "" if there is none.
 
     Args:
-        column_major: order by which the matrices were decoded. If the other order gives a frame,
-            the description suggests it.
+        column_major: whether the matrices were decoded in column-major order. If the other order
+            results in a frame, the description suggests it.
     """
     matrices = np.concatenate([values[event] for event in events])
     wrong = ~(are_frames(matrices) | np.isnan(matrices[:, 3, 3]))
@@ -453,10 +454,10 @@ def find_not_frame(
     name = [f"{event}[{i}]" for event in events for i in range(len(values[event]))][first]
     matrix = matrices[first]
     if np.abs(matrix[3] - LAST_ROW).max() > LAST_ROW_TOLERANCE:
-        why = f"last row [{', '.join(f'{number:.7g}' for number in matrix[3])}]"
+        why = f"the last row is [{', '.join(f'{number:.7g}' for number in matrix[3])}]"
     else:
-        why = "upper left 3 x 3 is not a rotation (orthonormal, determinant +1)"
+        why = NOT_A_ROTATION
     if are_frames(matrix.T[None])[0]:
         other = "false" if column_major else "true"
-        why += f"; its transpose is one: set column_major = {other}"
+        why += f"; its transpose is a frame. Set column_major = {other}"
     return f"{name} is not a frame: {why}"

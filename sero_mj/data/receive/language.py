@@ -14,16 +14,16 @@ import numpy as np
 from ...base.errors import StructureError, did_you_mean
 from .checksum import ALIASES, CRCS, SUMS, find_checksum, width_of
 
-MAX_PACKET_BYTES = 65_507  # the maximum of a UDP packet over IPv4
+MAX_PACKET_BYTES = 65_507  # maximum payload of a UDP packet over IPv4
 
-# Letter to the name of the events, and to the shape of one item in the packet.
+# Names of events, and shape of one item in the packet, by kind.
 KINDS: dict[str, tuple[str, tuple[int, ...]]] = {
     "F": ("values", ()),
     "V": ("vectors", (3,)),
     "M": ("matrices", (4, 4)),
     "T": ("matrices", (3, 4)),
 }
-# Letter, as in Python's struct module, to NumPy's type.
+# NumPy types by the letters of Python's struct module.
 TYPES = {
     "f": "f4", "d": "f8", "b": "i1", "B": "u1", "h": "i2", "H": "u2",
     "i": "i4", "I": "u4", "q": "i8", "Q": "u8", "?": "u1",
@@ -51,14 +51,15 @@ class Item:
     Attributes:
         name: declared or numbered name of the event; empty for items without an event.
         kind: `F`, `V`, `M` or `T`, or `x` for skipped bytes.
-        type: NumPy's name of the type, with byte order; `u1` for skipped bytes.
-        is_bool: whether all bytes other than 0 mean 1.
+        type: NumPy name of the type, with byte order; `u1` for skipped bytes.
+        is_bool: whether every byte other than 0 stands for 1.
         constant: required value of every number; None for any value.
         is_size: whether the constant is the size of the packet.
         checksum: name of the required checksum; empty for none.
-        covers: first and end byte of the range that the checksum covers. The bytes of the
+        covers: first byte and end of the range that the checksum covers. The bytes of the
             checksum count as 0.
-        at: index of the item in the text; for a size or checksum, of the word after `=`.
+        at: position of the item in the structure string. For a size or checksum, the position of
+            the word after `=`.
     """
 
     name: str
@@ -105,10 +106,10 @@ class Item:
 
 
 def parse(text: str, *, is_double: bool = True, alignment: int = 1) -> list[Item]:
-    """Returns the items of a structure string; raises StructureError.
+    """Parses a structure string into its items; raises StructureError.
 
     Args:
-        is_double: `F`, `V`, `M` and `T` without a type are float64 if true, otherwise float32.
+        is_double: whether `F`, `V`, `M` and `T` without a type are float64 instead of float32.
         alignment: alignment of items in bytes.
     """
     return _Parser(text, is_double, alignment).items()
@@ -312,7 +313,7 @@ class _Parser:
 
 
 def limits(item: Item) -> tuple[int | float, int | float]:
-    """Returns the minimum and maximum finite number of an item's type."""
+    """Returns the minimum and maximum finite number that the type of an item can represent."""
     if item.is_bool:
         return 0, 1
     if item.is_float:

@@ -1,4 +1,4 @@
-"""`Mailbox`: passes valid packets from the receiving thread to consumers."""
+"""Passes valid packets from the receiving thread of a source to its consumers."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ import numpy as np
 from ...base.frames import Array
 from .structure import Rows
 
-HISTORY_BYTES = 16 * 2**20  # limit of the packets stored for `take_history`
-QUEUE_BYTES = 64 * 2**20  # limit of the packets stored for `take` if none may be lost
+HISTORY_BYTES = 16 * 2**20  # maximum size of the packets stored for `take_history`
+QUEUE_BYTES = 64 * 2**20  # maximum size of the packets stored for `take` if none may be lost
 _WAIT_INTERVAL = 0.1  # s
 
 
 @dataclass(frozen=True, eq=False)
 class Packet:
-    """One valid packet.
+    """A valid packet of a source.
 
     Attributes:
-        values: event name to its array, float64. NaN occurs only in events in which it is allowed;
-            matrices are rigid frames.
-        arrival: arrival time on the clock of `Source.now`, s.
-        number: 1 for the first valid packet of the source.
+        values: mapping from event names to float64 arrays. NaN occurs only in events in which it
+            is allowed. Matrices are rigid frames.
+        arrival: arrival time in seconds on the clock of `Source.now`.
+        number: number of the packet. The first valid packet of the source has the number 1.
     """
 
     values: Mapping[str, Array]
@@ -35,17 +35,17 @@ class Packet:
 
 
 def age(packet: Packet | None, now: float) -> float:
-    """Returns the time from the arrival of a packet to `now`, s, at least 0; infinite for None."""
+    """Returns the non-negative time in seconds since a packet arrived; infinity for None."""
     return float("inf") if packet is None else max(now - packet.arrival, 0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class Packets:
-    """Consecutive valid packets, n >= 1.
+    """n >= 1 consecutive valid packets of a source.
 
     Attributes:
-        values: event name to its arrays, (n, ...), float64.
-        arrivals: arrival times on the clock of `Source.now`, (n,), s.
+        values: mapping from event names to float64 arrays, shape (n, ...).
+        arrivals: arrival times in seconds on the clock of `Source.now`, shape (n,).
         number: number of the last packet, as in `Packet`.
     """
 
@@ -66,13 +66,13 @@ class Mailbox:
     """Stores valid packets until a consumer takes and decodes them.
 
     Args:
-        decode: decoder of rows, called in the consumer's thread.
-        on_superseded: called with the number of packets that newer ones have replaced before use.
+        decode: function that decodes rows, called in the thread of the consumer.
+        on_superseded: function called with the number of packets that were replaced before use.
 
     Attributes:
-        is_lossless: whether all packets are stored, and `put` waits if the queue is full. Otherwise
-            only the newest packet is stored.
-        closing: set while the source is being closed, so that `put` does not wait.
+        is_lossless: whether all packets are stored, and `put` waits if the queue is full.
+            Otherwise, only the newest packet is stored.
+        closing: event that is set while the source is being closed, so that `put` does not wait.
     """
 
     def __init__(
@@ -96,7 +96,7 @@ class Mailbox:
         self._history_bytes = 0
 
     def empty(self) -> None:
-        """Discards all packets and resets the count. `start_history` stays in effect."""
+        """Discards all packets, and resets their count. `start_history` stays in effect."""
         self.number = self._looked = self._taken = self._queued_bytes = 0
         self._last = self._decoded = None
         self._queue.clear()
@@ -111,11 +111,11 @@ class Mailbox:
 
     @property
     def last_arrival(self) -> float | None:
-        """Arrival time of the newest packet, s; None before the first packet."""
+        """Arrival time of the newest packet in seconds; None before the first packet."""
         return None if self._last is None else float(self._last[1][-1])
 
     def put(self, rows: Rows, arrivals: Array) -> None:
-        """Adds packets, in the source's own thread."""
+        """Adds valid packets. Called in the receiving thread."""
         last = rows[-1:].copy()
         if self._history is not None:
             with self._room:

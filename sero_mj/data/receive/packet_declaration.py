@@ -1,4 +1,4 @@
-"""`PacketDeclaration`: the fields that declare the layout of a source's packets."""
+"""Declaration of the packets of a source."""
 
 from __future__ import annotations
 
@@ -15,27 +15,27 @@ from ...base.frames import Array, Ints
 from .intake import Intake, pad_packets
 from .structure import Alignment, Rows, Structure
 
-# The fields that recordings store, because packets are decoded by them.
+# Fields that recordings store, because they are required for decoding packets.
 _DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
     "time_scale",
 )  # fmt: skip
-_SIGNS = ("torque_sign",)  # only some kinds have it
+_SIGNS = ("torque_sign",)  # a field of some kinds only
 
 
 class PacketDeclaration(Declaration):
-    """The layout of packets, and the events with their sequence number and send time.
+    """Declaration of the packets of a source: their layout, sequence number and send time.
 
     Attributes:
         structure: layout of the packets, such as `7F1M`; see STRUCTURE.md.
         is_double: whether `F`, `V`, `M` and `T` in the structure are float64 instead of float32
             (key `double` in files).
-        column_major: matrices are column-major, otherwise row-major.
+        column_major: whether matrices are column-major instead of row-major.
         alignment: alignment of items in bytes: 1, 2, 4 or 8.
-        scale: factor of all floating-point numbers; for matrices, of the position only.
-        sequence: event with the sequence number, of any type (also 1d), to detect loss.
-        time: event with the send time, to measure jitter and delay.
-        time_scale: seconds per unit of `time`.
+        scale: factor of all floating-point numbers, but only of the position in matrices.
+        sequence: event with the sequence number, which can have any type, for detecting loss.
+        time: event with the send time, for measuring jitter and delay.
+        time_scale: unit of the send time in seconds.
     """
 
     is_double: bool = Field(True, alias="double")  # before structure, whose size depends on them
@@ -49,7 +49,7 @@ class PacketDeclaration(Declaration):
 
     # Name of the protocol that determines these fields, so that files must not set them.
     _fixed_by: ClassVar[str] = ""
-    # Description of where the structure comes from, for kinds that do not declare it.
+    # Origin of the structure, for kinds that do not declare it.
     _structure_is: ClassVar[str] = ""
     _nan_allowed: frozenset[str] = PrivateAttr(frozenset())
 
@@ -105,7 +105,7 @@ class PacketDeclaration(Declaration):
 
     @property
     def events(self) -> Mapping[str, tuple[int, ...]]:
-        """Event name to shape: (n,) for values, (n, 3) for vectors, (n, 4, 4) for matrices."""
+        """Shapes by event name: (n,) for values, (n, 3) for vectors, (n, 4, 4) for matrices."""
         return self.layout.events
 
     @property
@@ -117,15 +117,15 @@ class PacketDeclaration(Declaration):
         return self.layout.link_state(values)
 
     def describe_link(self, values: Mapping[str, Array]) -> str:
-        """Returns the state of the robot's controller in words; empty if a packet has none."""
+        """Returns a description of the robot controller's state; empty if a packet has none."""
         return ""
 
     def link_faults(self, state: float, quality: float) -> list[str]:
-        """Returns descriptions of the faults that values of `link_state` mean."""
+        """Returns descriptions of the faults that the values from `link_state` indicate."""
         return []
 
     def decoding_fields(self) -> dict[str, Any]:
-        """Returns the fields by which packets are decoded, and required fields, as JSON types."""
+        """Returns the required fields, and the fields for decoding packets, as JSON types."""
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         kept = required.union(_DECODING, _SIGNS)
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)
@@ -143,10 +143,11 @@ class PacketDeclaration(Declaration):
         return {event: array[0] for event, array in checker.decode(rows).items()}
 
     def decode_rows(self, rows: Rows, lengths: Ints) -> tuple[dict[str, Array], Ints]:
-        """Decodes n packets, in rows as for `Intake.take`, without counting them.
+        """Decodes n packets without counting them. The arguments are those of `Intake.take`.
 
         Returns:
-            event name to arrays (m, ...), and the rows of the m valid packets, (m,).
+            mapping from event names to arrays, shape (m, ...), and row indices of the m valid
+            packets, shape (m,).
         """
         checker = self._new_checker()
         good, numbers = checker.take(rows, lengths, np.arange(len(rows), dtype=float))

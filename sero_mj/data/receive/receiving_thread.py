@@ -1,4 +1,4 @@
-"""`ReceivingThread`: the thread of a source; it restarts reception after every exception."""
+"""Thread in which a source receives packets. It restarts reception after every exception."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ MIN_PAUSE, MAX_PAUSE = 0.1, 5.0  # s between a failure and the next attempt
 
 
 class Closing(Exception):
-    """The source is being closed."""
+    """Raised in the receiving thread when its source is being closed."""
 
 
 class Disconnected(Exception):
-    """There is no connection to the sender, or it has ended.
+    """Raised if there is no connection to the sender, or if the connection has ended.
 
     Args:
-        trouble: the reason, which the source displays.
-        detail: more, for the log.
+        trouble: reason, which the source displays.
+        detail: additional text for the log.
     """
 
     def __init__(self, trouble: str, detail: str = "") -> None:
@@ -29,7 +29,7 @@ class Disconnected(Exception):
 
 
 class Receives(Protocol):
-    """The part of `Reception` that its thread uses."""
+    """The part of `Reception` that `ReceivingThread` uses."""
 
     @property
     def closing(self) -> threading.Event: ...
@@ -51,7 +51,7 @@ class ReceivingThread:
         name: name of the thread.
         receive: function that receives packets until `source.closing` is set. Its argument is a
             socket that becomes readable at that time.
-        interrupt: called by `end`, to wake a `receive` that does not wait for the socket.
+        interrupt: function that `end` calls to wake a `receive` that does not wait for the socket.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class ReceivingThread:
         return threading.current_thread() is self._thread
 
     def end(self) -> None:
-        """Waits until the thread has ended; the source's `closing` must be set before."""
+        """Waits until the thread has ended. Set `closing` of the source before."""
         self._waker.send(b"x")
         if self._interrupt is not None:
             self._interrupt()

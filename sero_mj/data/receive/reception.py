@@ -1,4 +1,4 @@
-"""`Reception`: checks and counts the packets of a source, and provides the valid ones."""
+"""Checks and counts the packets of a source, and provides the valid packets."""
 
 from __future__ import annotations
 
@@ -23,55 +23,55 @@ from .tracking import Timing
 
 log = logging.getLogger("sero_mj.data.receive.source")
 
-QUIET_AFTER = 0.5  # s without a packet, after which a source is silent
+QUIET_AFTER = 0.5  # s without a packet after which a source is silent
 _WARN_INTERVAL = 10.0  # s
 _ERROR_DURATION = 2 * MAX_PAUSE  # s for which `error` is set if no packets arrive
-# Function of raw packets: rows (n, bytes), lengths (n,) in bytes, arrival times (n,) in s.
+# Function that receives raw packets (n, bytes), their lengths (n,) and arrival times (n,) in s.
 Tap = Callable[[Rows, Ints, Array], object]
 
 
 class Timeline:
-    """The clock of a source: real time by default; recordings and runs override all methods."""
+    """Clock of a source. Live sources use real time; recordings and runs override all methods."""
 
     def now(self) -> float:
-        """Returns the time on the clock of arrivals, s: `time.monotonic`, or of a recording."""
+        """Returns the current time in seconds on the clock of the arrival times."""
         return clock.monotonic()
 
     @property
     def is_live(self) -> bool:
-        """Whether packets arrive in real time, and not by `advance_to` as those of a recording."""
+        """Whether packets arrive in real time, and not only when `advance_to` is called."""
         return True
 
     @property
     def end(self) -> float | None:
-        """Time of the last packet on the clock of `advance_to`, s; None for live sources."""
+        """Time of the last packet in seconds, as for `advance_to`; None for live sources."""
         return None
 
     @property
     def begin(self) -> float:
-        """Time of the first packet on the clock of `advance_to`, s."""
+        """Time of the first packet in seconds, as for `advance_to`."""
         return 0.0
 
     @property
     def newest(self) -> float | None:
-        """Time of the newest packet of a live source whose past can be displayed, s; else None."""
+        """Time in seconds of the newest packet, if a live source can display its past; or None."""
         return None
 
     @property
     def step(self) -> float | None:
-        """Time step of a simulation, whose `advance_to` is slow, s; None for other sources."""
+        """Time step in s of a simulation, whose `advance_to` is slow; None for other sources."""
         return None
 
     def advance_to(self, time: float) -> None:
-        """Advances to a time, s. Has no effect on live sources."""
+        """Advances to a time in seconds. Has no effect on live sources."""
 
 
 class Reception(PacketDeclaration, Timeline):
-    """Accepts packets of one structure. Malformed packets are counted and not applied.
+    """The part of a source that checks, counts and stores packets of one structure.
 
     Attributes:
         name: name of the source in routes.
-        only_latest_packet: apply only the newest packet; if false, apply all packets in order.
+        only_latest_packet: apply only the newest packet instead of all packets in order.
         debug_level: amount of log messages: 0 for none, 1 for faults, 2 also for restarts and
             losses, 3 also for every batch.
     """
@@ -94,7 +94,7 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def intake(self) -> Intake:
-        """The checks and counters of packets; `open` creates new ones."""
+        """Checks and counters of packets. `open` creates new ones."""
         if self._intake is None:
             self._intake = self._new_intake()
         return self._intake
@@ -129,15 +129,15 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def receive_trigger(self) -> int:
-        """Number of valid packets."""
+        """Number of valid packets since the source was opened."""
         return self._mail.number
 
     def allow_nan(self, events: Collection[str]) -> None:
-        """Accepts NaN and infinity as missing data in these events only; raises UnknownName.
+        """Accepts NaN and infinity as missing data in the named events; raises UnknownName.
 
-        Such values become NaN, and a matrix with one becomes NaN as a whole. The rest of the packet
-        is applied, and the packet is counted as `blanked`. In other events, NaN and infinity make a
-        packet malformed. Takes effect with the next packet.
+        Such values become NaN, and a matrix that contains one becomes NaN as a whole. The rest of
+        the packet is applied, and the packet is counted as `blanked`. In other events, NaN and
+        infinity make a packet malformed. Takes effect with the next packet.
         """
         for event in events:
             if event not in self.events:
@@ -146,7 +146,7 @@ class Reception(PacketDeclaration, Timeline):
         self.intake.nan_allowed = self._nan_allowed
 
     def limit(self, limits: Mapping[str, Array]) -> None:
-        """Sets maximum magnitudes, by event, for each of its k numbers, (k,).
+        """Sets the maximum magnitudes, shape (k,), of the k numbers of each event.
 
         A packet with a larger number is malformed and counted as `implausible`. Takes effect with
         the next packet.
@@ -155,24 +155,24 @@ class Reception(PacketDeclaration, Timeline):
         self.intake.limits = self._limits
 
     def on_receive(self, callback: Callable[[], None]) -> None:
-        """Registers a function that the source's thread calls after valid packets.
+        """Registers a function that the receiving thread calls after valid packets.
 
-        An exception in it becomes the source's `error`; reception continues.
+        If the function raises an exception, this becomes `error`, and reception continues.
         """
         self._callbacks.append(callback)
 
     def remove_callback(self, callback: Callable[[], None]) -> None:
-        """Removes a callback of `on_receive`. Has no effect if it is not registered."""
+        """Removes a function registered by `on_receive`. Has no effect for other functions."""
         with suppress(ValueError):
             self._callbacks.remove(callback)
 
     def record_to(self, tap: Tap | None) -> None:
-        """Passes all packets, including malformed ones, to `tap` as they arrive; None stops it."""
+        """Passes all packets, including malformed ones, to `tap` on arrival; None ends this."""
         self._tap = tap
 
     @property
     def closing(self) -> threading.Event:
-        """Set while the source is being closed."""
+        """Event that is set while the source is being closed."""
         return self._mail.closing
 
     @property
@@ -213,22 +213,22 @@ class Reception(PacketDeclaration, Timeline):
         return self._mail.take()
 
     def start_history(self) -> None:
-        """Starts to store all valid packets for `take_history`, independently of `take`."""
+        """Starts storing all valid packets for `take_history`, independently of `take`."""
         self._mail.start_history()
 
     def stop_history(self) -> None:
-        """Ends `start_history` and discards the stored packets."""
+        """Stops storing packets for `take_history`, and discards the stored packets."""
         self._mail.stop_history()
 
     def take_history(self) -> Packets | None:
-        """Returns the packets stored since `start_history` or the last call, or None without any.
+        """Returns the valid packets since `start_history` or the last call; None if there are none.
 
-        If they exceed 16 MB, the oldest are missing.
+        If the packets exceed 16 MB, the oldest packets are missing.
         """
         return self._mail.take_history()
 
     def wait(self, timeout: float) -> bool:
-        """Waits up to `timeout` s for the first valid packet; returns whether it has arrived."""
+        """Waits up to `timeout` seconds for a valid packet, and returns whether one has arrived."""
         return self._mail.wait(timeout)
 
     def accept(
@@ -237,11 +237,11 @@ class Reception(PacketDeclaration, Timeline):
         arrivals: Sequence[float] | None = None,
         senders: Rows | None = None,
     ) -> None:
-        """Accepts n raw packets, including malformed ones. Call this in the source's own thread.
+        """Accepts n raw packets, including malformed ones. Call this in the receiving thread.
 
         Args:
-            arrivals: n arrival times on the clock of `now`, s; None for the current time.
-            senders: bytes that identify the sender of each packet, (n, any); None for one sender.
+            arrivals: n arrival times in seconds on the clock of `now`; None for the current time.
+            senders: identifier of each packet's sender, shape (n, any); None for a single sender.
         """
         times = np.full(len(packets), self.now()) if arrivals is None else np.array(arrivals, float)
         if len(times) != len(packets):
@@ -255,7 +255,7 @@ class Reception(PacketDeclaration, Timeline):
         Sources call this for messages that they cannot convert to packets.
         """
         if (tap := self._tap) is not None:
-            # With the size of a packet, a recording would replay it as one.
+            # A recorded message with the size of a packet would be replayed as a packet.
             raw = message + b"\0" * (len(message) == self.size)
             tap(*pad_packets([raw], self.size), np.array([self.now()]))
         self.intake.reject(reason, len(message), self.now())
@@ -322,17 +322,17 @@ class Reception(PacketDeclaration, Timeline):
         self._failure, self._failed_at = found, now
         if self.debug_level >= 1 and now - self._logged_failure > _WARN_INTERVAL:
             self._logged_failure = now
-            # Errors of the system need no traceback.
+            # Errors of the operating system need no traceback.
             log.warning("%s", found, exc_info=None if isinstance(error, OSError) else error)
 
     def log_once(self, text: str) -> None:
-        """Logs a text once, until the source is opened again."""
+        """Logs a text unless it has been logged since the source was opened."""
         if self.debug_level >= 1 and self._is_new(text):
             log.warning("source '%s': %s", self.name, text)
 
     @property
     def trouble(self) -> str:
-        """Why no packets arrive, for display; empty if unknown. Valid packets clear it."""
+        """Displayed reason why no packets arrive; empty if unknown. Valid packets clear it."""
         return self._trouble
 
     def note_trouble(self, trouble: str) -> None:
@@ -341,7 +341,7 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def error(self) -> Exception | None:
-        """The last failure of reception; None after valid packets, or 10 s after the failure."""
+        """Last failure of reception; None after valid packets, or 10 s after the failure."""
         if clock.monotonic() - self._failed_at > _ERROR_DURATION:
             return None
         return self._failure

@@ -11,7 +11,7 @@ from .intake import Counters
 from .mailbox import age
 from .source import Source
 
-_MAX_CLOCK_DIFFERENCE = 86_400.0  # s; larger differences mean that time stamps have another epoch
+_MAX_CLOCK_DIFFERENCE = 86_400.0  # s; at larger differences, time stamps have another epoch
 # Descriptions of counters, in the order in which users should check them.
 MEANINGS = {
     "lost": "missing sequence numbers",
@@ -33,21 +33,23 @@ MEANINGS = {
 
 
 def report(source: Source) -> dict[str, Any]:
-    """Returns the state of a source as a dictionary: all fields of `Counters`, and these entries.
+    """Returns the state of a source, as a dictionary.
+
+    The keys are the fields of `Counters`, and the following:
 
     - `source`, `about`: name and description of the source
-    - `message`: name of its messages; empty for plain packets
+    - `message`: kind of the messages of the source; empty for plain packets
     - `receiving`: whether packets arrive
     - `good`: number of valid packets
     - `rate`: packets per second
-    - `age`: time since the last valid packet, s; None before the first packet
-    - `jitter`, `delay`: see `Timing`, s; `delay` is None if packets have no time stamp
-    - `clock`: offset of the local clock from the sender's clock, plus the transmission time of the
-      fastest packet, s; None if time stamps are not times of day
-    - `trouble`: why no packets arrive, if known
-    - `error`: the last failure of reception; empty once packets arrive again
-    - `controller`: state of the robot's controller in words
-    - `fault_age`: time since the last malformed packet, s; None if there was none
+    - `age`: time in seconds since the last valid packet; None before the first packet
+    - `jitter`, `delay`: see `Timing`; `delay` is None if packets have no time stamp
+    - `clock`: offset in seconds of the local clock from the sender's clock, plus the transmission
+      time of the fastest packet; None if time stamps are not times of day
+    - `trouble`: reason why no packets arrive; empty if unknown
+    - `error`: last failure of reception; empty once packets arrive again
+    - `controller`: description of the robot controller's state
+    - `fault_age`: time in seconds since the last malformed packet; None if there was none
     """
     counters, timing = source.counters, source.timing
     latest = source.latest()
@@ -73,7 +75,7 @@ def report(source: Source) -> dict[str, Any]:
 
 
 def error_text(source: Source) -> str:
-    """Returns the text of a source's `error` without the name of the source; empty for none."""
+    """Returns the message of a source's `error` without the source name; empty if there is none."""
     error = source.error
     return error.reason if isinstance(error, SourceError) else str(error or "")
 
@@ -84,7 +86,7 @@ def _clock(source: Source) -> float | None:
 
 
 def describe(found: dict[str, Any]) -> list[tuple[str, str, str]]:
-    """Returns the table of a `report`: cause, count and description of what has occurred."""
+    """Converts a `report` to the rows of a table with the columns cause, count and description."""
     rows = []
     why = f": {found['trouble']}" if found["trouble"] else ""
     if found["age"] is None:

@@ -1,4 +1,4 @@
-"""`ShmReader`: receives packets from POSIX shared memory."""
+"""Receives packets from POSIX shared memory."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from .source import Source
 _BLOCK_POLL_INTERVAL = 0.02  # s between checks whether the block was created or recreated
 _LOCK_TIMEOUT = 2e-3  # s that a frame waits while another thread reads the block
 _COUNT_INTERVAL = 1.0  # s between counts of a block that is too small
-_GATHER_TIME = 8e-4  # s; faster packets are checked together: ten take as long as one
-_MAX_ATTEMPTS = 50  # to read a packet between two writes, about 200 us
+_GATHER_TIME = 8e-4  # s; faster packets are checked together, because ten take as long as one
+_MAX_ATTEMPTS = 50  # attempts to read a packet between two writes, within about 200 us
 _MAX_SPIN = 2e-4  # s; longer values of `settle` are checked at the next poll
 _MAX_WRITE_TIME = 0.1  # s; a writer that needs longer has stopped
 
@@ -32,24 +32,24 @@ class ShmReader(Source):
     packet is new if its bytes differ from those of the last packet. If packets can repeat, add a
     counter or a time to the structure. Otherwise, a writer of equal packets is reported as silent.
 
-    Torn packets, which the writer has written in part, are detected in different ways:
+    Torn packets, which are only partly written, are detected in different ways:
 
     - With `lock`, torn packets are never applied. The writer sets this number to an odd value
       before it writes, and to another even value afterwards (a seqlock).
-    - Without it, a packet is applied if it has not changed for `settle`. A packet is torn if the
-      writer is interrupted for longer.
-    - With `sequence` and no lock, the counter must have changed as well. If the writer writes it
-      last, most interruptions are detected.
+    - Without a lock, a packet is applied if it has not changed for `settle` seconds. If the writer
+      is interrupted for longer, a torn packet is applied.
+    - With `sequence` and without a lock, the sequence number must have changed as well. If the
+      writer writes this number last, most interruptions are detected.
 
     Packets that are replaced before they are read are counted as `lost` only with a `sequence`.
 
     Attributes:
-        block: name of the shared memory, `robot` or `/robot`.
+        block: name of the shared memory, such as `robot` or `/robot`.
         lock: event that is odd while the writer writes, and 0 before the first packet; empty for
             none.
-        offset: position of the packet in the block, bytes.
-        poll_rate: rate at which the block is read, Hz. It is also read for each frame.
-        settle: time in s for which a packet must not change if there is no lock.
+        offset: position of the packet in the block in bytes.
+        poll_rate: rate in Hz at which the block is read. It is also read for each frame.
+        settle: time in seconds for which a packet must not change if there is no lock.
     """
 
     name: str = "shm"
@@ -163,7 +163,7 @@ class ShmReader(Source):
         return has_come
 
     def _call_back(self) -> None:
-        # Not in a consumer's thread, which may hold a lock that the callback waits for.
+        # A consumer's thread must not run callbacks, which may wait for a lock that it holds.
         self._is_callback_due = self._thread is None or not self._thread.is_current
         if not self._is_callback_due:
             super()._call_back()
@@ -177,7 +177,7 @@ class ShmReader(Source):
                     self._check()
                 if self._is_callback_due:
                     self._call_back()
-            # Faster than an Event, with the same latency.
+            # A lock is faster than an Event, and has the same latency.
             wake.acquire(timeout=period)
         self._check()
 
@@ -200,7 +200,7 @@ class ShmReader(Source):
                 packets.torn = 0
         elif len(found) == self.size:
             self._gathered.append((found, now))
-        elif now >= self._next_count and block.size:  # empty if it has just been created
+        elif now >= self._next_count and block.size:  # a block is created with the size 0
             self._next_count = now + _COUNT_INTERVAL
             self._gathered.append((found, now))
 
@@ -262,7 +262,7 @@ class _PacketFinder:
         self._since = 0.0  # time at which either was read first
 
     def find(self, block: Block) -> bytes | None:
-        """Returns a new and complete packet, or contents that are too short; None for neither."""
+        """Returns a new and complete packet, or contents that are too short, or None."""
         # Taken before reading, so that an interruption does not count as time without changes.
         started = clock.monotonic()
         seen = block.read(self._size, self._offset)
@@ -347,7 +347,7 @@ class _PacketFinder:
 
 
 def is_even(number: bytes, field: Item) -> bool:
-    """Whether the bytes of a lock are an even number; false for NaN and fractions."""
+    """Returns whether the bytes of a lock are an even number; false for NaN and fractions."""
     dtype = field.dtype
     if dtype.kind == "f":
         return bool(np.frombuffer(number, dtype)[0] % 2 == 0)

@@ -23,7 +23,7 @@ _Call = Callable[[int, object, int, int], int]
 
 
 def block_path(name: str) -> str:
-    """Returns the name for `shm_open`: `/robot` for `robot` and `/robot`; raises ValueError."""
+    """Returns the name of a block for `shm_open`: `/robot` for `robot`; raises ValueError."""
     bare = name.removeprefix("/")
     expected = "expected a name such as robot or /robot"
     if bare in ("", ".", ".."):
@@ -37,10 +37,10 @@ def block_path(name: str) -> str:
 
 
 def _system_call(name: str) -> _Call | None:
-    """Returns `pread` or `pwrite` without releasing the interpreter.
+    """Returns a version of `pread` or `pwrite` that does not release the interpreter lock.
 
     `os.pread` lets other threads run between two reads that must follow each other, and a busy
-    thread returns the interpreter only after 5 ms.
+    thread releases the interpreter lock only after 5 ms.
     """
     if sys.platform != "linux":
         return None  # elsewhere shared memory is not a file
@@ -56,13 +56,13 @@ _PREAD, _PWRITE = _system_call("pread"), _system_call("pwrite")
 class Block:
     """An open block of POSIX shared memory; raises OSError or ValueError.
 
-    On Linux, it is read and written by system calls: with a mapping, the process would receive
+    On Linux, it is read and written by system calls, because a process with a mapping receives
     SIGBUS if another process shrinks the block. System calls are also ordered on processors that
     reorder memory accesses. On other systems, the block is mapped, and its size is checked before
     each access.
 
     Args:
-        create: create the block, which must not exist.
+        create: whether to create the block, which must not exist.
 
     Attributes:
         identity: value that differs between blocks of the same name; zeros if unavailable.
@@ -93,7 +93,7 @@ class Block:
         os.ftruncate(self._fd, size)
 
     def read(self, count: int, start: int = 0) -> bytes:
-        """Reads `count` bytes from `start`, or fewer if the block ends before."""
+        """Reads `count` bytes from offset `start`, or fewer if the block ends earlier."""
         if _PREAD is None:
             mapped = self._mapped()
             return b"" if mapped is None else mapped[start : start + count]
@@ -105,7 +105,7 @@ class Block:
         return ctypes.string_at(self._buffer, found)
 
     def write(self, data: bytes, start: int = 0) -> None:
-        """Writes `data` at `start`, within the block."""
+        """Writes bytes at offset `start`. They must fit into the block."""
         if _PWRITE is None:
             mapped = self._mapped()
             if mapped is None or len(mapped) < start + len(data):
@@ -134,7 +134,7 @@ class Block:
             self._fd = -1
 
     def unlink(self) -> None:
-        """Removes the name if it still refers to this block; the last user frees the memory."""
+        """Removes the name if it refers to this block. The last process frees the memory."""
         try:
             other = Block(self.path)
         except OSError:

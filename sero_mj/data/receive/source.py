@@ -1,4 +1,4 @@
-"""`Source`: the base class of everything that provides packets, live or recorded."""
+"""Base class of everything that provides packets, live or recorded."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from ...robots.kinematics.joint_tree import JointTree
 from .receiving_thread import ReceivingThread
 from .reception import Reception
 
-# Events that every source has: `receiving` is 1 while packets arrive, `receive_trigger` is 1 in a
-# tick in which new packets were applied.
+# Events of every source: `receiving` is 1 while packets arrive. `receive_trigger` is 1 in a tick in
+# which new packets were applied.
 SIGNALS: dict[str, tuple[int, ...]] = {"receiving": (1,), "receive_trigger": (1,)}
 
 
@@ -29,8 +29,8 @@ class RoutedJoint(NamedTuple):
     """A joint that a source moves.
 
     Attributes:
-        angle: declared position, rad or m.
-        torque_limit: maximum torque, Nm or N; infinite if unknown.
+        angle: declared position in rad or m.
+        torque_limit: maximum torque in Nm or N; infinite if unknown.
     """
 
     name: str
@@ -43,13 +43,13 @@ class RoutedLinks:
     """The links of a robot that a source of transforms moves.
 
     Attributes:
-        joints: indices of the independent joints, in the order of `Source.set_joints`, (k,).
-        positions: function from the positions of the independent joints, (k,), to those of all
-            joints, (n,).
-        home: declared positions of the independent joints, (k,), rad or m.
-        poses: name of each link in the robot's original file to the index of its body (0 for the
-            base) and T_body_link (4, 4), m.
-        base: declared T_world_base (4, 4), m.
+        joints: indices of the k independent joints, in the order of `Source.set_joints`.
+        positions: function that converts the positions of the k independent joints to the
+            positions of all n joints.
+        home: declared positions of the k independent joints in rad or m.
+        poses: mapping from link names in the robot's original file to the index of the body (0 for
+            the base) and `T_body_link` (4, 4) in m.
+        base: declared `T_world_base` (4, 4) in m.
     """
 
     tree: JointTree
@@ -61,7 +61,7 @@ class RoutedLinks:
 
 
 class Source(Reception):
-    """A source of packets of one structure.
+    """Base class of sources, which provide packets of one structure.
 
     In `open`, a subclass calls `reset`, then `start_receiving` with a function that passes packets
     to `accept`. In `close`, it calls `stop_receiving`.
@@ -70,18 +70,18 @@ class Source(Reception):
     _thread: ReceivingThread | None = PrivateAttr(None)
 
     def __reduce__(self) -> tuple[Callable[..., Source], tuple[type[Source], dict[str, Any]]]:
-        """Pickles the declaration only, without received packets and open connections."""
+        """Pickles only the declaration, without received packets and open connections."""
         fields = {key: self.__dict__[key] for key in type(self).model_fields}
         return _declared_again, (type(self), fields)
 
     @property
     def kind(self) -> str:
-        """Value of `kind` in scene files."""
+        """Value of `kind` in scene files, for example `udp`."""
         return plugin_name(SOURCES, type(self))
 
     @property
     def original(self) -> Source:
-        """The source that decodes the packets: for a recording, the recorded source."""
+        """Source that decodes the packets. For a recording, this is the recorded source."""
         return self
 
     @property
@@ -91,23 +91,23 @@ class Source(Reception):
 
     @property
     def about(self) -> str:
-        """Kind and address, for display."""
+        """Displayed kind and address of the source."""
         return self.name
 
     @property
     def awaited(self) -> str:
-        """Expected packets, for display."""
+        """Displayed description of the expected packets."""
         message = self.layout.message
         return f"{message}s" if message else f"packets of {self.layout.size} bytes"
 
     @property
     def place(self) -> tuple[str, int] | None:
-        """Address and UDP port on which it listens; None if it does not listen on a port."""
+        """Address and UDP port on which the source listens; None if it listens on no port."""
         return None
 
     @property
     def memory(self) -> tuple[str, str, int] | None:
-        """Name, lock event (or "") and offset in bytes of its shared memory; None for others."""
+        """Name, lock event (or "") and byte offset of the shared memory; None for other sources."""
         return None
 
     def message_of(self, packet: bytes) -> bytes:
@@ -116,16 +116,16 @@ class Source(Reception):
 
     @property
     def can_be_played(self) -> bool:
-        """Whether `sero-mj send` can send packets to it."""
+        """Whether `sero-mj send` can send packets to the source."""
         return self.place is not None or self.memory is not None
 
     @abstractmethod
     def open(self) -> None:
-        """Starts to receive; raises SourceError."""
+        """Starts receiving packets; raises SourceError."""
 
     @abstractmethod
     def close(self) -> None:
-        """Stops receiving. Has no effect if the source is not open."""
+        """Stops receiving packets. Has no effect if the source is not open."""
 
     def start_receiving(
         self,
@@ -133,7 +133,7 @@ class Source(Reception):
         interrupt: Callable[[], object] | None = None,
         name: str = "",
     ) -> None:
-        """Starts the thread that receives; see `ReceivingThread` for the arguments."""
+        """Starts the receiving thread, see `ReceivingThread` for the arguments."""
         self._thread = ReceivingThread(self, name or self.name, receive, interrupt)
         self._thread.start()
 
@@ -152,13 +152,13 @@ class Source(Reception):
         """
 
     def set_links(self, links: RoutedLinks) -> None:
-        """Called before `events` is read, with the links of the first robot with routes from it.
+        """Called before `events` is read, with the links of the first robot that the source moves.
 
         Sources of transforms override this method.
         """
 
     def needs_joints(self, event: str) -> bool:
-        """Whether an event is missing because `set_joints` has not been called."""
+        """Returns whether an event is missing because `set_joints` has not been called."""
         return False
 
     def __enter__(self) -> Self:
@@ -174,9 +174,9 @@ def _declared_again(kind: type[Source], fields: Mapping[str, Any]) -> Source:
 
 
 def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
-    """Returns the source that a table with `kind` in a scene declares; raises DeclarationError.
+    """Creates the source that a table of a scene declares; raises DeclarationError.
 
-    Source objects are returned unchanged.
+    A `Source` is returned unchanged.
     """
     if not isinstance(declared, Mapping):
         if isinstance(declared, Source):

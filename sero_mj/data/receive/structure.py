@@ -1,4 +1,4 @@
-"""`Structure`: a decoder and encoder for packets described by a structure string.
+"""Decoder and encoder for packets that a structure string describes.
 
 `are_frames` checks whether decoded matrices are rigid frames.
 """
@@ -13,19 +13,15 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ...base.errors import (
-    Problem,
-    UnknownName,
-    mismatch,
-)
+from ...base.errors import Problem, UnknownName, mismatch
 from ...base.frames import Array, Ints
 from .checksum import compute
 from .language import Item, limits, parse
 
 Rows = NDArray[np.uint8]  # packets, or sender addresses, one per row
-# First byte, end, type, and the indices of the selected numbers in between; None for all.
+# First byte, end, type, and the indices of the selected numbers in between, or None for all.
 _Block = tuple[int, int, np.dtype[Any], Ints | None]
-_Bounds = tuple[_Block, Array]  # and the maximum magnitudes of the selected numbers
+_Bounds = tuple[_Block, Array]  # block, and the maximum magnitudes of the selected numbers
 Alignment = Literal[1, 2, 4, 8]
 TorqueSign = Literal[-1, 1]
 
@@ -35,8 +31,6 @@ LAST_ROW_TOLERANCE = 1e-6
 LAST_ROW = np.array([0.0, 0.0, 0.0, 1.0])
 _IDENTITY = np.eye(3)
 _DOUBLE = np.dtype(np.float64)
-
-
 _ALIGNMENTS: tuple[Alignment, ...] = (1, 2, 4, 8)
 
 
@@ -47,13 +41,13 @@ class Structure:
 
     Args:
         text: structure string; STRUCTURE.md describes the language.
-        is_double: `F`, `V`, `M` and `T` are float64 if true, otherwise float32.
+        is_double: whether `F`, `V`, `M` and `T` are float64 instead of float32.
         alignment: alignment of items from the start of the packet, in bytes, as in Simulink's Byte
             Pack.
-        scale: factor of all floating-point numbers without a constant; for matrices, of the
-            position only.
-        signs: event name to the factor of its numbers, 1 or -1, for senders with other sign
-            conventions. Matrices are not changed.
+        scale: factor of all floating-point numbers without a constant. In matrices, it applies to
+            the position only.
+        signs: mapping from event names to the factor of their numbers, 1 or -1, for senders with
+            other sign conventions. Matrices are not changed.
 
     Attributes:
         size: size of a packet in bytes.
@@ -63,7 +57,7 @@ class Structure:
     """
 
     message: str = ""
-    fault: str = ""  # why the last message could not be converted to a packet
+    fault: str = ""  # reason why the last message could not be converted to a packet
 
     def __init__(
         self,
@@ -113,28 +107,28 @@ class Structure:
         self._blocks: dict[frozenset[str], list[_Block]] = {}
 
     def unpack(self, rows: Rows, lengths: Ints) -> tuple[Rows, Ints]:
-        """Converts n received messages to packets of this structure; here, returns them unchanged.
+        """Converts n received messages to packets. The base class returns them unchanged.
 
         Args:
-            rows: received messages, (n, any).
-            lengths: lengths in bytes, (n,); larger than the row if a message was truncated.
+            rows: received messages, shape (n, any).
+            lengths: lengths in bytes, shape (n,); greater than a row for truncated messages.
 
         Returns:
-            rows (n, `size` or more), and lengths (n,), which differ from `size` for messages that
-            cannot be converted.
+            packets, shape (n, `size` or more), and their lengths, shape (n,). A message that cannot
+            be converted has a length other than `size`.
         """
         return rows, lengths
 
     def describe_wrong_size(self, packet: bytes, length: int) -> str:
         """Returns the reason why a message of `length` bytes is not a packet of this structure.
 
-        `packet` has at least its first bytes.
+        `packet` contains at least the first bytes of the message.
         """
         hint = self.explain_size(length)
         return f"{length} bytes; expected {self.size}{hint and f'; {hint}'}"
 
     def explain_size(self, size: int) -> str:
-        """Returns the options that result in a size, such as another alignment; "" for none."""
+        """Suggests options with which packets have a size, such as an alignment; "" for none."""
         found = []
         for alignment in _ALIGNMENTS[_ALIGNMENTS.index(self.alignment) :]:
             for is_double in (self.is_double, not self.is_double):
@@ -163,10 +157,10 @@ class Structure:
         return self.signs.get(item.name, 1.0) * (self.scale if is_scaled else 1.0)
 
     def decode(self, packet: bytes | bytearray | memoryview) -> dict[str, Array]:
-        """Returns every event as float64, in the shapes of `events`; raises ValueError.
+        """Decodes a packet to one float64 array per event; raises ValueError for a wrong size.
 
-        Arrays of little-endian float64 are views of the packet, except for 3 x 4 matrices, and
-        read-only if the packet is. Constants are not checked: see `find_wrong_constants`.
+        Arrays of little-endian float64 are views of the packet, except for 3 x 4 matrices. They are
+        read-only if the packet is. Constants are not checked, see `find_wrong_constants`.
         """
         if len(packet) != self.size:
             raise mismatch(len(packet), f"{self.size} for '{self.text}'", of="bytes")
@@ -182,10 +176,10 @@ class Structure:
         return values
 
     def decode_rows(self, rows: Rows, events: Collection[str] | None = None) -> dict[str, Array]:
-        """Decodes n packets, rows (n, `size` or more), to arrays (n, ...) as `decode` does.
+        """Decodes n packets, shape (n, `size` or more), to one array (n, ...) per event.
 
         Args:
-            events: events to decode; None for all.
+            events: names of the events to decode; None for all events.
         """
         with np.errstate(invalid="ignore", over="ignore"):
             return {
@@ -200,7 +194,7 @@ class Structure:
 
     @property
     def required_frames(self) -> tuple[str, ...]:
-        """Events that must be rigid frames or NaN; otherwise, a packet is malformed."""
+        """Events whose matrices must be rigid frames or NaN; otherwise, a packet is malformed."""
         return self.matrices
 
     def field(self, event: str) -> Item:
@@ -210,7 +204,7 @@ class Structure:
         return self._by_event[event]
 
     def event_rows(self, rows: Rows, event: str) -> NDArray[Any]:
-        """Returns the raw numbers of an event in n packets, (n, k), in the type of the packet."""
+        """Returns the k raw numbers of an event in n packets, shape (n, k), without conversion."""
         return _numbers(rows, self._by_event[event])
 
     def _finished(self, item: Item, numbers: NDArray[Any]) -> Array:
@@ -242,7 +236,7 @@ class Structure:
         return frames
 
     def find_not_finite(self, rows: Rows, but: Collection[str] = ()) -> NDArray[np.bool_]:
-        """Returns whether each packet has NaN or infinity in events not in `but`, (n,).
+        """Returns a mask (n,) of the packets with NaN or infinity in events other than `but`.
 
         Numbers that become infinite by `scale` are detected, too.
         """
@@ -259,10 +253,10 @@ class Structure:
         return bad
 
     def bounds(self, limits: Mapping[str, float]) -> list[_Bounds]:
-        """Returns the argument of `find_out_of_bounds`.
+        """Converts limits of decoded numbers to the bounds for `find_out_of_bounds`.
 
         Args:
-            limits: event name to the maximum magnitude of its decoded numbers.
+            limits: mapping from event names to the maximum magnitude of their decoded numbers.
         """
         factor = max(self.scale, 1.0)
         found: list[_Bounds] = []
@@ -286,9 +280,9 @@ class Structure:
         return found
 
     def find_out_of_bounds(self, rows: Rows, bounds: Sequence[_Bounds]) -> NDArray[np.bool_]:
-        """Returns whether each packet may have NaN, infinity or a number beyond its bound, (n,).
+        """Returns a mask (n,) of packets that may contain NaN, infinity or numbers out of bounds.
 
-        This check is quick. It can report valid packets, but it misses no invalid one.
+        This check is quick. It can select valid packets, but misses no invalid packet.
         """
         is_beyond = np.zeros(len(rows), bool)
         for (start, end, dtype, columns), bound in bounds:
@@ -318,20 +312,20 @@ class Structure:
             columns //= dtype.itemsize
             is_all = len(columns) * dtype.itemsize == end - start
             blocks.append((start, end, dtype, None if is_all else columns))
-        if len(self._blocks) > 8:  # `but` changes often
+        if len(self._blocks) > 8:  # limits the memory if `but` changes often
             self._blocks = {}
         self._blocks[but] = blocks
         return blocks
 
     def find_wrong_constants(self, rows: Rows) -> NDArray[np.bool_]:
-        """Returns whether each packet has a number that differs from its constant, (n,)."""
+        """Returns a mask (n,) of the packets with a number that differs from its constant."""
         bad = np.zeros(len(rows), bool)
         for item, constant in self._constants:
             bad |= _is_wrong(rows, item, constant).any(axis=1)
         return bad
 
     def describe_wrong_constant(self, rows: Rows) -> str:
-        """Returns a description of the first packet's first wrong constant; "" for none."""
+        """Describes the first wrong constant of the first packet; returns "" if none is wrong."""
         for item, constant in self._constants:
             if (wrong := _is_wrong(rows[:1], item, constant)[0]).any():
                 index = int(np.argmax(wrong))
@@ -343,14 +337,14 @@ class Structure:
         return ""
 
     def find_wrong_checksums(self, rows: Rows) -> NDArray[np.bool_]:
-        """Returns whether each packet has a wrong checksum, (n,)."""
+        """Returns a mask (n,) of the packets with a wrong checksum."""
         bad = np.zeros(len(rows), bool)
         for item in self.checksums:
             bad |= _numbers(rows, item)[:, 0] != _checksums(rows, item)
         return bad
 
     def describe_wrong_checksum(self, rows: Rows) -> str:
-        """Returns a description of the first packet's first wrong checksum; "" for none."""
+        """Describes the first wrong checksum of the first packet; returns "" if none is wrong."""
         for item in self.checksums:
             found, expected = _numbers(rows[:1], item)[0, 0], _checksums(rows[:1], item)[0]
             if found != expected:
@@ -361,21 +355,22 @@ class Structure:
         return ""
 
     def seal(self, rows: Rows) -> None:
-        """Writes the checksums into n packets, (n, `size`). Call this after changing packets."""
+        """Writes the checksums into packets (n, `size`). Call this after changing packets."""
         for item in self.checksums:
             _numbers(rows, item)[:, 0] = _checksums(rows, item)
 
     def encode(self, values: Mapping[str, ArrayLike]) -> bytes:
-        """Returns a packet with these events, constants and checksums. Missing events are zero.
+        """Encodes the values of events as a packet. Missing events are encoded as zeros.
 
-        Numbers are divided by `scale` and `signs`, and rounded for integer types.
+        Numbers are divided by `scale` and `signs`, and rounded for integer types. The packet
+        includes constants and checksums.
 
         Args:
-            values: event name to an array in the shape of `events`. A leading axis of length 1 can
-                be omitted.
+            values: mapping from event names to arrays in the shapes of `events`. A leading axis of
+                length 1 can be omitted.
 
         Raises:
-            UnknownName: the structure does not have an event.
+            UnknownName: the structure has no event with one of the names.
             ValueError: an event has a wrong shape, or a number is out of the range of its type, or
                 differs from its constant.
         """
@@ -430,7 +425,7 @@ class Structure:
 
 
 def are_frames(matrices: Array) -> NDArray[np.bool_]:
-    """Returns whether each of the matrices (n, 4, 4) is a rigid frame, (n,).
+    """Returns a mask (n,) of the matrices (n, 4, 4) that are rigid frames.
 
     The last row must be 0 0 0 1 within 1e-6. The upper left 3 x 3 part must be orthonormal within
     1e-3, and not a reflection.
@@ -440,7 +435,7 @@ def are_frames(matrices: Array) -> NDArray[np.bool_]:
     off = np.abs(rotations @ rotations.swapaxes(1, 2) - _IDENTITY).max(axis=(1, 2))
     last_row_off = np.abs(matrices[:, 3] - LAST_ROW).max(axis=1)
     good: NDArray[np.bool_] = (off <= _ROTATION_TOLERANCE) & (last_row_off <= LAST_ROW_TOLERANCE)
-    good[good] = np.linalg.det(rotations[good]) > 0.0  # NaN, which is not good, would warn
+    good[good] = np.linalg.det(rotations[good]) > 0.0  # `det` would warn about NaN
     return good
 
 

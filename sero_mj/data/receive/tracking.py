@@ -22,13 +22,13 @@ LATE_SECONDS = 0.5
 RUN = 4
 PAUSE = 0.5
 MAX_LOST = 3000
-_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # bit mask of the newest number and the `LATE_WITHIN` before
+_WINDOW = (1 << (LATE_WITHIN + 1)) - 1  # bit mask of the newest and `LATE_WITHIN` earlier numbers
 
 SEEN_FOR = 2.0  # s after its last packet until a sender is forgotten
 MAX_SENDERS = 64
-_MIN_STREAM = 2  # packets of a sender that can be replaced; it may use a new port for each packet
+_MIN_STREAM = 2  # packets of a replaceable sender, because some use a new port for each packet
 
-_WEIGHT = 1.0 / 16.0  # of a new packet in a running mean, as in RFC 3550, section 6.4.1
+_WEIGHT = 1.0 / 16.0  # weight of a new packet in a running mean, as in RFC 3550, section 6.4.1
 _LONG_PAUSE = 2.0  # s; longer intervals do not affect the rate
 _BASELINE = 10.0  # s; window of the fastest packet, because the clocks of two machines drift
 
@@ -37,10 +37,10 @@ class SequenceTracker:
     """Tracks the sequence numbers of one sender.
 
     Args:
-        modulus: modulus at which the counter wraps (65536 for 16 bits); 0 for no wrap.
+        modulus: modulus at which the sequence number wraps (65536 for 16 bits); 0 for no wrap.
 
     Attributes:
-        lost: count of missing numbers; numbers that arrive late are subtracted.
+        lost: count of missing sequence numbers. Numbers that arrive late are subtracted.
     """
 
     def __init__(self, modulus: int = 0) -> None:
@@ -53,7 +53,7 @@ class SequenceTracker:
         self._arrived = self._missing = 0
 
     def is_consecutive(self, numbers: Sequence[int]) -> bool:
-        """Returns whether numbers directly follow the last one, so that `skip_to` suffices."""
+        """Returns whether numbers directly follow the last number, so that `skip_to` suffices."""
         first, last = numbers[0], numbers[-1]
         return (
             self._last is not None
@@ -71,7 +71,7 @@ class SequenceTracker:
         self._last, self._last_arrival, self._run = number, arrival, 0
 
     def classify(self, number: int, arrival: float) -> int:
-        """Returns the position of a number that arrived at a time, s."""
+        """Classifies a number as `NEXT`, `DUPLICATE`, `LATE` or `RESTARTED`; `arrival` is in s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None:
@@ -125,7 +125,7 @@ def _shifted(bits: int, steps: int) -> int:
 
 
 class StampTracker:
-    """Tracks the time stamps of one sender; equal stamps are not duplicates."""
+    """Tracks the time stamps of one sender. Equal time stamps are not duplicates."""
 
     lost = 0  # time stamps do not show losses
 
@@ -135,7 +135,7 @@ class StampTracker:
         self._run, self._run_last = 0, 0.0
 
     def classify(self, stamp: float, arrival: float) -> int:
-        """Returns the position of a time stamp, s, that arrived at a time, s."""
+        """Classifies a time stamp in s as `NEXT`, `LATE` or `RESTARTED`; `arrival` is in s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:
@@ -165,8 +165,8 @@ class Senders:
 
     Attributes:
         at_once: number of concurrent senders.
-        gone: addresses of the senders that the last `note` detected as replaced.
-        begins: row of the last `note` in which a new sender follows another one; None otherwise.
+        gone: addresses of the replaced senders that the last call of `note` detected.
+        begins: row of the last batch at which a new sender follows another one, or None.
     """
 
     def __init__(self) -> None:
@@ -175,15 +175,15 @@ class Senders:
         self.begins: int | None = None
         self._seen: dict[bytes, _Sender] = {}
         self._current = b""
-        self._replaced: set[bytes] = set()  # until they send again
+        self._replaced: set[bytes] = set()  # senders are removed if they send again
         self._packets = 0
 
     def note(self, senders: Rows, arrivals: Array) -> None:
-        """Registers the senders of a batch, n >= 1.
+        """Registers the senders of a batch of n >= 1 packets.
 
         Args:
-            senders: addresses, (n, any).
-            arrivals: arrival times of the packets, (n,), s.
+            senders: addresses of the senders, shape (n, any).
+            arrivals: arrival times of the packets in seconds, shape (n,).
         """
         self.gone, self.begins = [], None
         if (senders == senders[0]).all():
@@ -231,13 +231,14 @@ class Senders:
 
 
 class Timing:
-    """Measures rate, jitter and delay from arrivals and time stamps.
+    """Measures rate, jitter and delay from arrival times and time stamps.
 
     Attributes:
-        interval: running mean of the time between packets, s; 0 while unknown.
-        jitter: running mean of the deviation of that time, s, from the difference of the time
-            stamps (RFC 3550, section 6.4.1). Without time stamps, the deviation from `interval`.
-        delay: delay of the last packet, s, relative to the fastest packet of the last 10 to 20 s.
+        interval: running mean of the time between packets in seconds; 0 while unknown.
+        jitter: running mean in seconds of the deviation of the time between packets from the
+            difference of their time stamps (RFC 3550, section 6.4.1), or else from `interval`.
+        delay: delay in seconds of the last packet, relative to the fastest packet of the last 10 to
+            20 s.
     """
 
     def __init__(self) -> None:
@@ -256,8 +257,8 @@ class Timing:
         """Adds n >= 1 packets to the statistics.
 
         Args:
-            arrivals: arrival times, (n,), s.
-            stamps: send times on the sender's clock, (n,), s; None if unknown.
+            arrivals: arrival times in seconds, shape (n,).
+            stamps: send times in seconds on the sender's clock, shape (n,); None if unknown.
         """
         if len(arrivals) == 1 and self.interval > 0.0 and self._arrival is not None:
             stamp = None if stamps is None else float(stamps[0])
@@ -312,7 +313,7 @@ class Timing:
 
     @property
     def fastest(self) -> float:
-        """Minimum difference of arrival time and time stamp, s, in the last 10 to 20 s.
+        """Minimum difference in seconds of arrival time and time stamp in the last 10 to 20 s.
 
         This is the offset of the receiver's clock from the sender's clock, plus the transmission
         time of the fastest packet. Infinite if unknown.
@@ -321,7 +322,7 @@ class Timing:
 
     @property
     def rate(self) -> float:
-        """Packets per second; 0 while unknown."""
+        """Number of packets per second; 0 while unknown."""
         return 1.0 / self.interval if self.interval > 0 else 0.0
 
 

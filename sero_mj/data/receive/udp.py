@@ -1,4 +1,4 @@
-"""`UdpReceiver`: receives packets from a UDP socket in a thread (the paper's Fig. 5)."""
+"""Receives packets from a UDP socket in a thread (Fig. 5 of the paper)."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class UdpReceiver(Source):
             addresses that exist on every network (`ff02::1`, `fe80::1`).
         sender: addresses of accepted senders, with or without a port (`192.168.0.7:1234`,
             `[fe80::1]:1234`); empty for any sender. Other packets are counted as `foreign`.
-        buffer_size: size of the kernel's receive buffer in bytes; 0 for 4 MiB, or what the system
-            grants.
+        buffer_size: size of the kernel's receive buffer in bytes; 0 for 4 MiB, or less if the
+            system does not allow it.
     """
 
     name: str = "udp"
@@ -81,7 +81,7 @@ class UdpReceiver(Source):
 
     @property
     def port(self) -> int:
-        """The port that it listens on, also if the system has chosen it."""
+        """Port on which the source listens, even if the system has chosen it."""
         return int(self._socket.getsockname()[1]) if self._socket else self.udpport
 
     @property
@@ -110,8 +110,8 @@ class UdpReceiver(Source):
     def _receive(self, wake: socket.socket) -> None:
         sock = self._socket
         assert sock is not None
-        # One more byte than a packet has reveals packets that are too long on systems that do not
-        # report them.
+        # On systems that do not report packets that are too long, one more byte than a packet has
+        # reveals them.
         datagrams = Datagrams(sock, max(self.layout.size + 1, self._min_row_bytes))
         datagrams.on_arrival = self._on_arrival(datagrams.send)
         answers, since = datagrams.on_arrival is not None, 0.0
@@ -121,7 +121,7 @@ class UdpReceiver(Source):
             while not self.closing.is_set():
                 try:
                     count = datagrams.read()
-                except ConnectionError:  # on Windows: nobody listens for an answer
+                except ConnectionError:  # on Windows, if nobody listens for an answer
                     continue
                 if answers and datagrams.waiting < BATCH:
                     # The next answer is more urgent than checking packets.
@@ -146,7 +146,7 @@ class UdpReceiver(Source):
             self._take_in(batch)
 
     def _on_arrival(self, send: Callable[[bytes, bytes], None]) -> OnArrival | None:
-        """Returns a function to call for every packet before its sender is checked, or None."""
+        """Returns a function that is called for each packet before checking its sender, or None."""
         return None
 
     def _is_known(self, sender: bytes) -> bool:
@@ -171,7 +171,7 @@ class UdpReceiver(Source):
 
 
 def split_sender(text: str) -> tuple[str, int]:
-    """Splits `192.168.0.7:1234` into address and port, 0 if missing; raises ValueError."""
+    """Splits `192.168.0.7:1234` into address and port (0 if missing); raises ValueError."""
     host, port = text, ""
     if text.startswith("["):
         host, _, port = text[1:].partition("]")
@@ -186,7 +186,7 @@ def split_sender(text: str) -> tuple[str, int]:
     else:
         if address.is_unspecified or address.is_multicast:
             raise ValueError(
-                f"found {text!r}, which no sender has. Leave it out to accept any sender"
+                f"found {text!r}, which no sender can have. Leave it out to accept any sender"
             )
     if not 0 <= number <= 65535:
         raise mismatch(text, "an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234")

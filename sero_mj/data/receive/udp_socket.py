@@ -1,10 +1,10 @@
 """Opens UDP sockets and reads packets in batches.
 
-On Linux, one call of `recvmmsg` reads up to 256 packets with their arrival times. Measured times
-for waiting packets of 112 bytes, with those of `recvmsg_into` in parentheses: 15 us (3) for one
-packet, 17 us (13) for eight, 114 us (405) for 256. `recvmsg_into` also releases the interpreter for
-each packet: beside a busy thread, the 99th percentile for 64 packets is 26 ms instead of 10 ms.
-Receiving 300,000 packets/s while rendering (docs/peers.md) leaves 3.3 us for each packet.
+On Linux, one call of `recvmmsg` reads up to 256 packets with their arrival times. With waiting
+packets of 112 bytes, it takes 15 us for one packet, 17 us for 8, and 114 us for 256. `recvmsg_into`
+takes 3, 13 and 405 us, and also releases the interpreter lock for each packet. Beside a busy
+thread, the 99th percentile for 64 packets is therefore 26 ms instead of 10 ms. Receiving 300,000
+packets/s while rendering (docs/peers.md) leaves 3.3 us for each packet.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from ...base.frames import Array, Ints
 from .structure import Rows
 
 DEFAULT_BUFFER = 4 * 2**20  # bytes; the system may grant less
-_SO_RCVBUFFORCE = 33  # Linux: may exceed net.core.rmem_max, with permission
+_SO_RCVBUFFORCE = 33  # with permission, may exceed net.core.rmem_max on Linux
 _REASONS = {
     errno.EADDRINUSE: " is in use by another program. Close it, or choose another port",
     errno.EACCES: ": no permission. Choose a port above 1023",
@@ -38,13 +38,13 @@ _REASONS = {
 }
 
 BATCH = 256  # packets
-_ADDRESS_BYTES, _V4_BYTES = 28, 16  # of sockaddr_in6, and of sockaddr_in
+_ADDRESS_BYTES, _V4_BYTES = 28, 16  # sizes of sockaddr_in6 and sockaddr_in
 _CONTROL_BYTES = 64  # a time stamp (32) and a count of dropped packets (24)
 _MAPPED = bytes(10) + b"\xff\xff"  # prefix of an IPv4 address in IPv6
 # Constants of Linux that Python's socket module does not have.
 _SO_TIMESTAMPNS = 35
 _SO_RXQ_OVFL = 40
-_WSAEMSGSIZE = 10040  # Windows: a packet is longer than the buffer
+_WSAEMSGSIZE = 10040  # Windows error if a packet is longer than the buffer
 _UNKNOWN = ("0.0.0.0", 0)
 
 
@@ -83,13 +83,13 @@ OnArrival = Callable[[memoryview, int, bytes], None]
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Consecutive packets, valid until the next call of `Datagrams.read`.
+    """n consecutive packets of a socket, valid until the next call of `Datagrams.read`.
 
     Attributes:
-        rows: packets, (n, `max_bytes`); longer packets are truncated.
-        lengths: lengths of the sent packets, (n,); for truncated packets possibly a lower bound.
-        arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
-        senders: socket addresses in the system's layout, (n, 28).
+        rows: packets, shape (n, `max_bytes`); longer packets are truncated.
+        lengths: lengths of the sent packets, shape (n,); of truncated ones possibly lower bounds.
+        arrivals: arrival times in seconds on the clock of `time.monotonic`, shape (n,).
+        senders: socket addresses in the layout of Linux, shape (n, 28), see `pack_address`.
         dropped: total number of packets that the kernel has dropped; None if unknown.
     """
 
@@ -104,15 +104,15 @@ class Batch:
 
 
 class Datagrams:
-    """Reads a socket in batches.
+    """Reads the packets of a UDP socket in batches, and sends answers.
 
     Args:
-        sock: a bound UDP socket, which becomes non-blocking.
+        sock: bound UDP socket, which becomes non-blocking.
         max_bytes: number of bytes after which packets are truncated.
 
     Attributes:
-        on_arrival: function that is called first for each packet, with its bytes, its length, and
-            its sender as in `Batch.senders`; None for no call.
+        on_arrival: function that is called as soon as a packet is read, with its bytes, its length,
+            and its sender as in `Batch.senders`; or None.
     """
 
     def __init__(self, sock: socket.socket, max_bytes: int) -> None:
@@ -130,8 +130,8 @@ class Datagrams:
         if sys.platform == "linux":
             for option in (_SO_RXQ_OVFL, _SO_TIMESTAMPNS):
                 sock.setsockopt(socket.SOL_SOCKET, option, 1)
-            # PyDLL does not release the interpreter, because these calls do not block. Regaining it
-            # from a thread that renders takes up to the switch interval.
+            # PyDLL does not release the interpreter lock, because these calls do not block.
+            # Regaining it from a thread that renders takes up to the switch interval.
             library = ctypes.PyDLL(None, use_errno=True)
             self._recvmmsg = getattr(library, "recvmmsg", None)
             self._sendto = getattr(library, "sendto", None)
@@ -218,7 +218,7 @@ class Datagrams:
                 return 0
             raise OSError(error, os.strerror(error))
         if (on_arrival := self.on_arrival) is not None:
-            # Without NumPy: beside a renderer, its code is not in the processor's cache.
+            # NumPy is slow here, because a renderer displaces its code from the processor cache.
             for i in range(first, first + count):
                 sender = self._sender_view[i * _ADDRESS_BYTES : (i + 1) * _ADDRESS_BYTES]
                 on_arrival(self._row_views[i], self._headers[i].length, bytes(sender))
@@ -230,8 +230,8 @@ class Datagrams:
         if not (stamps["kind"] == _SO_TIMESTAMPNS).all():
             return np.full(count, now * 1e-9)
         stamped = stamps["seconds"] * 1_000_000_000 + stamps["nanoseconds"]
-        # Corrects times that are wrong because the wall clock was set, or because the thread was
-        # interrupted between reading the clocks: arrivals are ordered and not in the future.
+        # Times are wrong if the wall clock was set, or the thread was interrupted between reading
+        # the clocks. Arrivals are ordered and not in the future.
         arrivals: Array = (now - np.maximum(wall - stamped, 0)) * 1e-9
         arrivals = np.maximum.accumulate(np.maximum(arrivals, self._last_arrival))
         self._last_arrival = float(arrivals[-1])
@@ -276,7 +276,7 @@ def _addresses(rows: NDArray[Any]) -> Ints:
 
 
 def _both_clocks() -> tuple[int, int]:
-    """Monotonic and wall clock, ns, read without an interruption in between if possible."""
+    """Returns the monotonic and the wall clock in ns, if possible without an interruption."""
     for _ in range(4):
         before, wall, after = time.monotonic_ns(), time.time_ns(), time.monotonic_ns()
         if after - before < 20_000:
@@ -285,7 +285,7 @@ def _both_clocks() -> tuple[int, int]:
 
 
 def pack_address(host: str, port: int) -> bytes:
-    """Returns 28 bytes in the layout of Linux's `sockaddr_in` or `sockaddr_in6`."""
+    """Packs an address into 28 bytes in the layout of Linux's `sockaddr_in` or `sockaddr_in6`."""
     if ":" in host:
         packed = socket.inet_pton(socket.AF_INET6, host.partition("%")[0])
         return struct.pack("=H2s4x16s4x", 10, port.to_bytes(2, "big"), packed)
@@ -294,7 +294,7 @@ def pack_address(host: str, port: int) -> bytes:
 
 
 def unpack_address(packed: bytes) -> tuple[str, int]:
-    """Returns address and port of a row of `Batch.senders`."""
+    """Returns the address and port in a row of `Batch.senders`."""
     port = int.from_bytes(packed[2:4], "big")
     if packed[0] == 2:
         return socket.inet_ntop(socket.AF_INET, packed[4:8]), port
@@ -310,7 +310,7 @@ def _as_tuple(packed: bytes) -> tuple[str, int] | tuple[str, int, int, int]:
 
 
 def canonical_address(packed: bytes) -> tuple[bytes, int]:
-    """Returns IPv6 address, 16 bytes, and port of a row of `Batch.senders`.
+    """Returns the IPv6 address (16 bytes) and the port in a row of `Batch.senders`.
 
     IPv4 addresses are mapped to IPv6 (`::ffff:192.168.0.7`), as by a socket bound to `::`.
     """
@@ -319,7 +319,7 @@ def canonical_address(packed: bytes) -> tuple[bytes, int]:
 
 
 def is_multicast(host: str) -> bool:
-    """Whether an address is a multicast group."""
+    """Returns whether an address is a multicast group."""
     try:
         return ipaddress.ip_address(host.partition("%")[0]).is_multicast
     except ValueError:
@@ -343,10 +343,10 @@ def open_socket(source: str, host: str, port: int, interface: str, buffer: int) 
     """Returns a bound UDP socket; raises SourceError.
 
     Args:
-        source: name of the source, for errors.
+        source: name of the source for error messages.
         interface: name or IPv4 address of the network interface of a multicast group; empty to let
             the system choose.
-        buffer: size of the receive buffer in bytes; 0 for 4 MiB, or what the system grants.
+        buffer: size of the receive buffer in bytes; 0 for 4 MiB, or less if this is not allowed.
     """
     place = f"UDP port {port} on {host}"
     address, _, zone = host.partition("%")

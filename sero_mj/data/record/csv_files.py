@@ -21,22 +21,21 @@ if TYPE_CHECKING:
 
     from .recording import PacketFile
 
-
-# Events with a number per joint, whose columns can have the names of the joints.
+# Events with one number per joint, whose columns can be named after the joints.
 JOINT_EVENTS = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 TIME = "time"
 TABLE_ENDINGS = (".csv", ".tsv", ".txt")
-# Signal of a robot's joints to its columns: a name, a pattern with `*`, or a list of names.
+# Mapping from signals to table columns: a column name, a pattern with `*`, or a list of names.
 Columns = Mapping[str, str | Sequence[str]]
 
 
 def is_table(path: Path | str) -> bool:
-    """Whether a file is a table, by its extension."""
+    """Returns whether a file name has the extension of a table."""
     return str(path).lower().endswith(TABLE_ENDINGS)
 
 
 def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
-    """Parses values of `--columns`: `joint_angles=q_*`, `time=Zeit [s]`; raises ValueError."""
+    """Parses values of `--columns`, such as `joint_angles=q_*`; raises ValueError."""
     found: dict[str, str | list[str]] = {}
     for text in texts:
         signal, equals, columns = text.partition("=")
@@ -50,7 +49,7 @@ def parse_columns(texts: Sequence[str]) -> dict[str, str | list[str]]:
 
 @contextlib.contextmanager
 def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[Writer]:
-    """Yields a writer of rows to a temporary file, which finally replaces `path`.
+    """Context manager that yields a CSV writer of a temporary file, which finally replaces `path`.
 
     Pipes are written directly. Raises CsvError if the file cannot be written.
     """
@@ -67,7 +66,7 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
         if is_file:
             with contextlib.suppress(OSError):  # its folder may be missing
                 partial.unlink()
-        # Errors of the source of the rows may be an OSError and a SeroError.
+        # Errors from reading the rows may be both an OSError and a SeroError.
         if isinstance(error, OSError) and not isinstance(error, SeroError):
             raise CsvError(path, f"{failed}: {error.strerror}") from error
         raise
@@ -75,17 +74,17 @@ def csv_table(path: Path | str, failed: str = "cannot be written") -> Iterator[W
 
 @dataclass
 class Exported:
-    """Number of written rows, and of malformed packets, which were left out."""
+    """Numbers of written rows and of malformed packets, which were skipped."""
 
     rows: int = 0
     malformed: int = 0
 
 
 def column_names(events: Mapping[str, tuple[int, ...]], joints: Sequence[str] = ()) -> list[str]:
-    """Returns a name for each number of a packet: `values0[0]`, `vectors0[0][2]`, ...
+    """Returns a name for each number of a packet, such as `values0[0]` or `vectors0[0][2]`.
 
     Args:
-        joints: joint names to use in `JOINT_EVENTS` instead of indices: `torques[elbow]`.
+        joints: joint names that replace indices in `JOINT_EVENTS`, for example `torques[elbow]`.
     """
     return [
         f"{event}[{joints[index[0]]}]"
@@ -107,18 +106,18 @@ def export_csv(
     start: float = -math.inf,
     stop: float | None = None,
 ) -> Exported:
-    """Writes the valid packets of a source to a table, with time and all numbers in each row.
+    """Writes the time and all numbers of each valid packet of a source to a row of a table.
 
     Numbers have enough digits to be read back exactly; NaN is `nan`. A file is replaced only when
     the table is complete. Raises CsvError, RecordingError or UnknownName.
 
     Args:
-        decode: function from a packet to its events; for malformed packets it returns None or
-            raises ValueError.
+        decode: function that decodes a packet. For a malformed packet, it returns None or raises
+            ValueError.
         joints: joint names in the order of the packets, for recordings of messages.
-        ordered: joint names in the order of the columns; by default as in the packets.
-        start: time of the first packet, s from the start of the recording.
-        stop: time at which the table ends, s; None for the end of the recording.
+        ordered: joint names in the order of the columns (default: the order of the packets).
+        start: minimum time of packets in seconds since the start of the recording.
+        stop: time in seconds at which the table ends; None for the end of the recording.
     """
     packets = recording.packets(name, start, stop)
     events = recording.sources[name].events if name in recording.sources else {}
@@ -141,7 +140,7 @@ def export_csv(
                 row += (numbers[order] if joints and event in JOINT_EVENTS else numbers).tolist()
             yield row
 
-    first = next(rows_of := rows(), None)  # errors of the recording come first
+    first = next(rows_of := rows(), None)  # errors of the recording are raised before writing
     with csv_table(path) as table:
         table.writerow([TIME, *column_names(events, ordered or joints)])
         if first is not None:
@@ -151,9 +150,9 @@ def export_csv(
 
 
 def prefix_before(wanted: Sequence[str], names: Sequence[str]) -> str:
-    """Returns the common prefix with which `names` have all wanted joint names; else "".
+    """Returns the prefix with which `names` contains all wanted joint names, or "".
 
-    Names that occur without a prefix have the prefix "".
+    If a wanted name occurs without a prefix, the result is "".
     """
     known = set(names)
     if not wanted or not known.isdisjoint(wanted):

@@ -1,4 +1,4 @@
-"""`FileSource`: the base class of sources that play a file."""
+"""Base class of sources that play a file."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def _as_path(file: Any) -> Path:
 
 
 class FileSource(Source):
-    """Plays packets of a file through the decoder of their source.
+    """Base class of sources that play the packets of a file, decoded by their original source.
 
     It has no thread: `advance_to` delivers the packets up to the time of a driving clock, so that
     videos of a recording do not depend on the rendering time.
@@ -39,10 +39,11 @@ class FileSource(Source):
     Attributes:
         file: file name of the recording.
         speed: playback speed; 2 is twice as fast.
-        loop: restart at the end; if false, the data become stale after the end.
-        start: time at which playback begins, s from the start of the recording; None for the first
-            packet of any source.
-        stop: time at which playback ends, s from the start of the recording; None for its end.
+        loop: whether playback restarts at the end. Otherwise, the data become stale.
+        start: time at which playback begins, in seconds since the start of the recording; None for
+            the first packet of any source.
+        stop: time at which playback ends, in seconds since the start of the recording; None for
+            its end.
     """
 
     file: Annotated[Path, BeforeValidator(_as_path)]
@@ -56,7 +57,7 @@ class FileSource(Source):
     _coming: Iterator[tuple[float, bytes]] = PrivateAttr(default_factory=lambda: iter(()))
     _held: tuple[float, bytes] | None = PrivateAttr(None)
     _position: float = PrivateAttr(0.0)
-    _beyond: float = PrivateAttr(0.0)  # s after the end
+    _beyond: float = PrivateAttr(0.0)  # time since the end in s
     _anchor: tuple[float, float] = PrivateAttr((0.0, 0.0))  # time of the driving clock and position
     _paused: bool = PrivateAttr(False)
     _logged_faults: int = PrivateAttr(0)
@@ -65,21 +66,21 @@ class FileSource(Source):
     @property
     @abstractmethod
     def recorded(self) -> RecordedSource:
-        """The recorded source."""
+        """Declaration and times of the recorded source."""
 
     @property
     @abstractmethod
     def original(self) -> Source:
-        """The receiver that decodes the packets; it is never opened."""
+        """Receiver that decodes the packets. It is never opened."""
 
     @abstractmethod
     def open_recording(self) -> PacketFile:
-        """Opens the file as this source reads it; raises RecordingError."""
+        """Opens the recording for playback; raises RecordingError."""
 
     @property
     @abstractmethod
     def _begin(self) -> float:
-        """Time at which playback begins, s from the start of the recording."""
+        """Time at which playback begins, in seconds since the start of the recording."""
 
     @cached_property
     def layout(self) -> Structure:
@@ -97,7 +98,7 @@ class FileSource(Source):
 
     @property
     def duration(self) -> float:
-        """Playback time at speed 1, s."""
+        """Playback time in seconds at speed 1."""
         return max(self._end - self._begin, 0.0)
 
     @property
@@ -112,7 +113,7 @@ class FileSource(Source):
 
     @property
     def position(self) -> float:
-        """Current position, s from the start of the recording."""
+        """Current position in seconds since the start of the recording."""
         return self._position
 
     @property
@@ -161,7 +162,7 @@ class FileSource(Source):
         return self.recorded.count > 0
 
     def advance_to(self, time: float) -> None:
-        """Plays the packets up to a time of the driving clock, s; playback begins at 0."""
+        """Plays the packets up to a time in seconds of the driving clock, which begins at 0."""
         clock = time
         with self._lock:
             if self._recording is None or self._paused:
@@ -180,10 +181,11 @@ class FileSource(Source):
             self._beyond = beyond
 
     def seek(self, position: float, clock: float = 0.0) -> None:
-        """Continues at a position, s from the start of the recording.
+        """Continues playback at another position.
 
         Args:
-            clock: current time of the driving clock, s.
+            position: time in seconds since the start of the recording.
+            clock: current time of the driving clock in seconds.
         """
         with self._lock:
             position = min(max(position, self._begin), self._end)
@@ -191,12 +193,12 @@ class FileSource(Source):
             self._go_to(position)
 
     def pause(self, clock: float = 0.0) -> None:
-        """Pauses at the current time of the driving clock, s."""
+        """Pauses playback. `clock` is the current time of the driving clock in seconds."""
         self.advance_to(clock)
         self._paused = True
 
     def resume(self, clock: float = 0.0) -> None:
-        """Resumes at the current time of the driving clock, s."""
+        """Resumes playback. `clock` is the current time of the driving clock in seconds."""
         self._paused = False
         self._anchor = (clock, self._position)
 

@@ -1,7 +1,7 @@
-"""`open_recording`: opens a recording of sero-mj or of a third-party format.
+"""Opens recordings of sero-mj and recordings in third-party formats.
 
-An entry point in the group `sero_mj.recordings` adds a format: a function with the arguments of
-`open_recording` that returns a `PacketFile`, or None if the file has another format.
+An entry point in the group `sero_mj.recordings` adds a format. It is a function with the arguments
+of `open_recording` that returns a `PacketFile`, or None if the file has another format.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ def open_recording(
     """Opens a recording; raises RecordingError if it cannot be read or no format matches.
 
     Args:
-        topics: source to the receiver of its messages, for recordings of messages; by default, the
-            format chooses the sources.
-        report: function that reports notes to the user.
+        topics: mapping from source names to receivers of their messages, for recordings of messages
+            (default: the sources that the format chooses).
+        report: function called with notes for the user.
     """
     path = Path(path)
     try:
@@ -53,7 +53,7 @@ def open_recording(
 
 
 def look_into(path: Path, topics: Mapping[str, Source] | None = None) -> PacketFile:
-    """Returns a closed recording with its sources and times; see `open_recording`.
+    """Returns a closed recording, whose sources and times can be read; see `open_recording`.
 
     The result is cached until the file changes, because opening a scene uses it many times.
     """
@@ -80,7 +80,7 @@ def _state_of(path: Path) -> tuple[tuple[str, int, int], ...]:
 
 
 def mcap_header(path: Path) -> tuple[str, str]:
-    """Returns profile and library of an MCAP file; empty texts if it cannot be read."""
+    """Returns the profile and library of an MCAP file, or empty texts if it cannot be read."""
     with suppress(OSError, ValueError, *BROKEN), open_file(path) as file:
         header = make_reader(file).get_header()
         return header.profile, header.library

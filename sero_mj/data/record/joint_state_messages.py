@@ -14,7 +14,7 @@ import numpy as np
 from ...base.frames import Array
 
 SCHEMA_NAME, ENCODING, SCHEMA_ENCODING = "sensor_msgs/msg/JointState", "cdr", "ros2msg"
-RULE = "=" * 80  # between the definitions of a schema
+RULE = "=" * 80  # separator between the definitions of a schema
 SCHEMA = f"""\
 std_msgs/Header header
 string[] name
@@ -35,7 +35,7 @@ CDR_HEAD = b"\0\1\0\0"  # plain CDR, little-endian
 
 @dataclass(frozen=True)
 class JointStates:
-    """Keys of a robot's joint states in `Signals.shapes`; empty keys for missing states."""
+    """Joint names of a robot, and keys in `Signals.shapes` of its joint states (empty for none)."""
 
     names: Sequence[str]
     angles: str
@@ -44,7 +44,7 @@ class JointStates:
 
 
 class JointStateMessages:
-    """Encodes the joint states of one robot."""
+    """Encodes the joint states of one robot as `sensor_msgs/JointState`."""
 
     def __init__(self, joints: JointStates, shapes: Mapping[str, tuple[int, ...]]) -> None:
         sizes = [int(np.prod(shape)) for shape in shapes.values()]
@@ -69,7 +69,7 @@ class JointStateMessages:
         self._template = np.frombuffer(CDR_HEAD + bytes(body), np.uint8)
 
     def encode(self, table: Array, log_times: Sequence[int]) -> list[bytes]:
-        """Returns a message for each row of a table (n, k) with n log times, ns since the epoch."""
+        """Encodes each row of a table (n, k) with its log time in ns since the epoch."""
         rows = np.repeat(self._template[None], len(table), axis=0)
         times = np.array([divmod(time, 10**9) for time in log_times], "<i4")
         rows[:, 4:12] = times.view(np.uint8)

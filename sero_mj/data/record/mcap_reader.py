@@ -1,8 +1,8 @@
 """Reads the index and the chunks of MCAP files, including damaged files of any program.
 
 The index is the summary of the file. If it is missing because the process was killed, the file is
-scanned. `mcap.stream_reader` would decompress all chunks; this scan skips their contents. Sizes are
-checked before data are read or decompressed, which the readers of `mcap` do not do.
+scanned. This scan skips the contents of chunks, which `mcap.stream_reader` would decompress. Sizes
+are checked before data are read or decompressed, unlike in the readers of `mcap`.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from mcap.stream_reader import MAGIC_SIZE
 
 from ...base.errors import mismatch
 
-MAX_CHUNK_BYTES = 64 << 20  # decompressed; writers use chunks of 1 to 4 MiB
+MAX_CHUNK_BYTES = 64 << 20  # maximum size of a decompressed chunk; writers use 1 to 4 MiB
 _MESSAGE_HEAD = struct.Struct("<BQHIQQ")  # opcode, length, channel, sequence, log and publish time
 RECORD_HEAD = struct.Struct("<BQ")  # opcode, length
 _CHUNK_FIELDS = 8 + 8 + 8 + 4 + 4 + 8  # bytes of a chunk's fields, without text and data
@@ -46,13 +46,13 @@ NOT_CLOSED = "its process was killed, the disk was full, or it is still being wr
 
 @dataclass(frozen=True)
 class ChunkPlace:
-    """The location of a chunk.
+    """The location of a chunk in an MCAP file.
 
     Attributes:
-        length: bytes of its record.
-        first: log time of the earliest message, ns.
-        last: log time of the latest message, ns.
-        channels: channels of its messages; None if unknown.
+        length: length of its record in bytes.
+        first: log time of the earliest message in ns.
+        last: log time of the latest message in ns.
+        channels: numbers of the channels that have messages in the chunk; None if unknown.
     """
 
     offset: int
@@ -64,12 +64,12 @@ class ChunkPlace:
 
 @dataclass
 class FileIndex:
-    """The index of a file.
+    """The index of an MCAP file.
 
     Attributes:
-        counts: channel to its number of messages, without the messages in `uncounted`.
+        counts: number of messages by channel, without the messages in `uncounted`.
         uncounted: chunks with an unknown number of messages.
-        attachments: name to offset and length in the file, bytes.
+        attachments: offset and length in bytes by name of the attachment.
     """
 
     channels: dict[int, Channel] = field(default_factory=dict)
@@ -99,8 +99,8 @@ def read_record(file: BinaryIO, offset: int, length: int) -> io.BytesIO:
     """Returns the content of a record without its header; raises ValueError.
 
     Args:
-        offset: position of the record, bytes.
-        length: length of the record with its header, bytes.
+        offset: position of the record in bytes.
+        length: length of the record with its header in bytes.
     """
     size = file.seek(0, os.SEEK_END)
     if not 0 <= offset <= offset + length <= size:
@@ -184,7 +184,7 @@ def _scan(file: BinaryIO, size: int) -> FileIndex:
 
 
 def fault_of_end(position: int, size: int, *, is_whole: bool) -> str:
-    """Returns the error of a file without index whose last complete record ends at `position`."""
+    """Describes why a file has no index; `position` is the end of its last complete record."""
     if is_whole:
         return f"was not closed ({NOT_CLOSED}), so it has no index"
     return (
@@ -225,12 +225,12 @@ def _metadata(file: BinaryIO, offset: int, length: int) -> Metadata:
 
 
 def mcap_reason(error: BaseException) -> str:
-    """Returns the text of an error in `BROKEN`; errors of the mcap library often have no text."""
+    """Returns the message of an error in `BROKEN`, or its type if there is no message."""
     return str(error) or {"EndOfFile": "it ends early"}.get(name := type(error).__name__, name)
 
 
 def unpack_messages(record: bytes, channel: int) -> list[tuple[int, bytes]]:
-    """Returns log time in ns and data of a channel's messages in a chunk; raises BROKEN.
+    """Returns the log times in ns and data of a channel's messages in a chunk; raises BROKEN.
 
     `mcap.stream_reader.breakup_chunk` would take five times as long and decompresses without a
     limit.
@@ -267,7 +267,7 @@ def records_in(data: bytes) -> Iterator[tuple[int, int, int]]:
         end = position + RECORD_HEAD.size + length
         if opcode == 0 or end > size:
             what = "found opcode 0" if opcode == 0 else f"{length} bytes do not fit"
-            raise ValueError(f"record at byte {position} of it: {what}")
+            raise ValueError(f"record at byte {position} of its contents: {what}")
         yield opcode, position, end
         position = end
 

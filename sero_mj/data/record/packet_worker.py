@@ -1,4 +1,4 @@
-"""`PacketWorker`: accepts packets from receiving threads, and handles them in its own thread."""
+"""Worker that accepts packets from receiving threads, and handles them in its own thread."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from ...base.frames import Array, Ints
 from ..receive.structure import Rows
 
 QUEUE_BYTES = 64 << 20
-_PER_PACKET = 64  # bytes of memory for each packet, in addition to its own
+_PER_PACKET = 64  # bytes of memory for each packet, in addition to its contents
 
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Packets of one source, as in `PacketWorker.take`; `size` is their memory in bytes."""
+    """Packets of one source, see `PacketWorker.take`. `size` is their memory in bytes."""
 
     name: str
     rows: Rows
@@ -33,13 +33,14 @@ class Batch:
 
 
 class PacketWorker(ABC):
-    """Handles packets from any number of threads, with bounded memory.
+    """Base class of workers that handle packets from any number of threads in bounded memory.
 
     `take` never waits: if the queue is full, packets are counted as lost. A subclass calls
     `__init__` last, because this starts the thread. Use it as a context manager, or call `close`.
 
     Attributes:
-        error: exception that has ended the thread, or None. After it, no packets are accepted.
+        error: exception that has ended the thread, or None. After an error, no packets are
+            accepted.
     """
 
     def __init__(self, name: str, queue_bytes: int = QUEUE_BYTES) -> None:
@@ -47,7 +48,7 @@ class PacketWorker(ABC):
         self._queue_bytes = queue_bytes
         self._queue: deque[Batch] = deque()
         self._queued = 0  # bytes of the packets that have not been handled
-        self._lost: dict[str, int] = {}  # packets, by source
+        self._lost: dict[str, int] = {}  # number of lost packets by source
         self._closing = False
         self._changed = threading.Condition()  # guards the queue; held briefly
         self._started, self._ended = time.monotonic(), math.nan
@@ -55,12 +56,12 @@ class PacketWorker(ABC):
         self._thread.start()
 
     def take(self, name: str, rows: Rows, lengths: Ints, arrivals: Array) -> bool:
-        """Copies packets to the queue; returns false if it is full or the worker has ended.
+        """Copies packets to the queue. Returns false if it is full or the worker has ended.
 
         Args:
-            rows: one packet per row, (n, bytes).
-            lengths: length of each packet in its row, (n,).
-            arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
+            rows: one packet per row, shape (n, bytes).
+            lengths: length of each packet in its row, shape (n,).
+            arrivals: arrival times in seconds on the clock of `time.monotonic`, shape (n,).
         """
         if name not in self._lost:
             raise UnknownName("source", name, self._lost)
@@ -84,7 +85,7 @@ class PacketWorker(ABC):
 
     @property
     def seconds(self) -> float:
-        """Time from the start until now, or until the end, s."""
+        """Time in seconds from the start until now, or until the end."""
         return (time.monotonic() if math.isnan(self._ended) else self._ended) - self._started
 
     def wait_until_handled(self) -> None:
@@ -93,9 +94,9 @@ class PacketWorker(ABC):
             self._changed.wait_for(lambda: not self._queued or self.error is not None)
 
     def close(self) -> None:
-        """Handles the remaining packets and ends the thread; raises the error that has ended it.
+        """Handles the remaining packets and ends the thread. Raises `error` if it is not None.
 
-        After a RecordingError, such as a full disk, the data written before can be read.
+        After a RecordingError, for example on a full disk, the data written before can be read.
         """
         with self._changed:
             self._closing = True
@@ -112,11 +113,11 @@ class PacketWorker(ABC):
 
     @abstractmethod
     def _next(self) -> list[Batch] | None:
-        """Returns the next packets, possibly none; None once the queue is empty while closing."""
+        """Returns the next packets or an empty list; None if the queue is empty while closing."""
 
     @abstractmethod
     def _handle(self, batches: list[Batch]) -> None:
-        """Handles packets; also called without any."""
+        """Called with the next packets, which may be an empty list."""
 
     @abstractmethod
     def _finish(self, error: Exception | None) -> None:

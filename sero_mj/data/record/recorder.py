@@ -1,4 +1,4 @@
-"""`Recorder`: accepts packets from receiving threads, and writes them in its own thread."""
+"""Recorder that accepts packets from receiving threads, and writes them in its own thread."""
 
 from __future__ import annotations
 
@@ -18,20 +18,20 @@ from .recording_writer import RecordingWriter
 Decode = Callable[[bytes], Mapping[str, Array] | None]
 
 SIGNALS_RATE = 20.0  # decoded packets per second and source; adds 10 % to the file size at 1 kHz
-_BURST = 0.05  # s; packets of this time may be decoded at once, because they arrive in batches
+_BURST = 0.05  # s; packets of this interval may be decoded at once, because they form batches
 
 
 @dataclass(frozen=True)
 class RecorderStatistics:
-    """Packets and bytes of a recording so far.
+    """Counts of packets and bytes in a recording so far.
 
     Attributes:
         packets: number of written packets of all sources. If the disk is full, up to one chunk (1
             MiB, or 0.4 s) is lost, and the error reports the number of packets in the file.
         signals: number of packets whose decoded values were written as well.
-        seconds: duration of the recording, s.
-        not_recorded: source to the number of packets that were lost because the queue was full or
-            the recording had ended.
+        seconds: duration of the recording in seconds.
+        not_recorded: number of packets by source that were lost because the queue was full or the
+            recording had ended.
     """
 
     packets: int
@@ -43,7 +43,7 @@ class RecorderStatistics:
 
 
 class RateLimiter:
-    """Limits the number of packets per second with a token bucket; infinity is no limit."""
+    """Limits the number of packets per second with a token bucket. `rate` may be infinite."""
 
     def __init__(self, rate: float) -> None:
         self._rate = rate
@@ -52,7 +52,7 @@ class RateLimiter:
         self._last = -math.inf
 
     def allow(self, arrival: float) -> bool:
-        """Returns whether a packet with this arrival time, s, is within the rate."""
+        """Returns whether a packet that arrives at a time in seconds is within the rate."""
         if not 0.0 < self._rate < math.inf:
             return self._rate > 0.0
         if arrival > self._last:
@@ -83,7 +83,7 @@ class PacketWriter(RecordingWriter):
         self._decoders[name] = (decode, RateLimiter(self._signals_rate))
 
     def write_values(self, name: str, packet: bytes, arrival: float) -> bool:
-        """Writes the values of a packet after `write_raw`; returns false if they are skipped."""
+        """Writes the values of a packet after `write_raw`. Returns false if they are skipped."""
         decode, limiter = self._decoders[name]
         if not limiter.allow(arrival):
             return False
@@ -104,7 +104,7 @@ class Recorder(PacketWorker):
 
     Args:
         about: description of the recording, such as `{"scene": "lwr_udp"}`.
-        overwrite: replace an existing file.
+        overwrite: whether to replace an existing file.
         signals_rate: maximum number of packets per second and source whose decoded values are
             recorded as well, for other programs; 0 for none.
     """
@@ -130,8 +130,8 @@ class Recorder(PacketWorker):
         """Adds a source. Call this before `take`.
 
         Args:
-            decode: function from a packet to its signals, called in the recorder's thread. For
-                malformed packets it returns None or raises ValueError.
+            decode: function that converts a packet to its signals, called in the recorder's thread.
+                For a malformed packet, it returns None or raises ValueError.
             **declaration: arguments of `RecordingWriter.add_source`.
         """
         with self._writing:
@@ -140,18 +140,17 @@ class Recorder(PacketWorker):
             self._lost[name] = 0
 
     def attach(self, name: str, media_type: str, data: bytes) -> None:
-        """Adds a file to the recording; see `RecordingWriter.attach`."""
         with self._writing:
             self._writer.attach(name, media_type, data)
 
     @property
     def clock(self) -> RecordingClock:
-        """Start of the recording on both clocks."""
+        """Start time of the recording on both clocks."""
         return self._writer.clock
 
     @property
     def statistics(self) -> RecorderStatistics:
-        """Packets and bytes so far."""
+        """Counts of packets and bytes so far."""
         with self._changed:
             return RecorderStatistics(
                 self._packets,

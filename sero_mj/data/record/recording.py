@@ -1,4 +1,4 @@
-"""`Recording`: reads files of `RecordingWriter`, including truncated and damaged files."""
+"""Reads the files of `RecordingWriter`, including truncated and damaged files."""
 
 from __future__ import annotations
 
@@ -54,9 +54,9 @@ class RecordedSource(SourceDeclaration):
 
     Attributes:
         count: number of packets.
-        first: arrival time of the first packet, s from the start of the recording; NaN without
-            packets.
-        last: arrival time of the last packet, as `first`.
+        first: arrival time of the first packet in seconds since the start of the recording; NaN if
+            there are no packets.
+        last: arrival time of the last packet, like `first`.
     """
 
     count: int
@@ -70,14 +70,14 @@ class RecordedSource(SourceDeclaration):
 
 
 class PacketFile(ABC):
-    """A file with packets of sources. Times are s from its start.
+    """Base class of files with packets of sources. Times are in seconds since the start.
 
     Attributes:
         duration: time of the last packet.
-        lost: source to the number of its lost packets.
-        faults: tolerated errors, one sentence each; some are detected when packets are read.
-        malformed: why the last malformed message could not be converted to a packet; empty for
-            recordings of packets.
+        lost: number of lost packets by source.
+        faults: tolerated errors, one sentence each. Some are detected when packets are read.
+        malformed: reason why the last malformed message could not be converted to a packet; empty
+            for recordings of packets.
         names_joints: whether messages name joints, so that the recording can move a robot without
             routes.
     """
@@ -95,12 +95,12 @@ class PacketFile(ABC):
     _why_unreadable: ClassVar[str] = "its index is wrong"  # used if there is no fault
 
     def choose_source(self, name: str = "", default: str = "", by: str = "") -> str:
-        """Returns the name of a source; raises UsageError.
+        """Chooses a source and returns its name; raises UsageError.
 
         Args:
             name: requested name; empty for `default`, or for the only source.
-            default: name to use if the recording has it.
-            by: option by which users choose a source, such as `--source NAME`, for the error.
+            default: name to use if the recording has a source of this name.
+            by: option that chooses a source, such as `--source NAME`, for the error message.
         """
         names = list(self.sources)
         chosen = name or (default if default in names or len(names) != 1 else names[0])
@@ -119,21 +119,21 @@ class PacketFile(ABC):
         return "; ".join(["has no source", *self.faults])
 
     def about_sources(self) -> str:
-        """Returns a list of the sources, for users who have to choose one."""
+        """Returns a list of the sources as text, for users who have to choose one."""
         return ", ".join(self.sources)
 
     @abstractmethod
     def packets(
         self, name: str, start: float = -math.inf, stop: float | None = None
     ) -> Iterator[tuple[float, bytes]]:
-        """Yields arrival time and bytes of a source's packets with start <= time < stop.
+        """Yields the arrival time and bytes of a source's packets with start <= time < stop.
 
         The packets are in the order of the file. Raises RecordingError or UnknownName.
         """
 
     @abstractmethod
     def last_before(self, name: str, t: float) -> tuple[float, bytes] | None:
-        """Returns arrival time and bytes of a source's newest packet up to a time, or None.
+        """Returns the arrival time and bytes of a source's newest packet up to a time, or None.
 
         Raises RecordingError or UnknownName.
         """
@@ -164,14 +164,15 @@ class PacketFile(ABC):
         """Returns the table of a `replay` source that replaces a source of a scene.
 
         Args:
-            source: receiver of messages in the scene; see `Source.of_messages`.
+            source: receiver of messages in the scene, see `Source.of_messages`.
         """
         return {"kind": "replay", "file": str(self.path), "source": name}
 
     def move_robot(self, scene: Any, source: str | None = None) -> Any:
-        """Returns a `Scene` without sources such that this recording moves its only robot.
+        """Returns a copy of a `Scene` with one robot, which this recording moves.
 
-        Other scenes are returned unchanged. Recordings of packets change no scene.
+        Other scenes, and scenes with sources, are returned unchanged. Recordings of packets change
+        no scene.
 
         Args:
             source: source of the recording that moves the robot; None to find it by joint names.
@@ -181,17 +182,17 @@ class PacketFile(ABC):
     def scenes(
         self, choose: str, source: str | None = None, wanted: Collection[str] = ()
     ) -> Iterator[str]:
-        """Yields scenes with the joints that the messages name; raises SeroError.
+        """Yields scenes whose robots have the joints in the messages; raises SeroError.
 
         Args:
-            choose: option by which users choose a scene, for the error.
-            source: source of the recording; None for any.
-            wanted: names of possible robots; empty for any.
+            choose: option that chooses a scene, such as `--scene NAME`, for the error message.
+            source: source of the recording; None for any source.
+            wanted: names of the allowed robots; empty for any robot.
         """
         return iter(())
 
     def described_scene(self) -> Path | None:
-        """Writes a scene with the robot description in the recording; None if there is none."""
+        """Writes a scene from the robot description in the recording; None if there is none."""
         return None
 
     def shipped_robots(self, source: str | None = None) -> list[str]:
@@ -210,7 +211,7 @@ class PacketFile(ABC):
 
 
 class Recording(PacketFile):
-    """A complete recording, or one that is being written. It can be used by several threads.
+    """A recording that is complete or is being written. Several threads can use it.
 
     Damaged chunks are skipped and reported in `faults`. Raises RecordingError if the file cannot be
     read or is not a recording.
@@ -275,7 +276,7 @@ class Recording(PacketFile):
                 try:
                     found[number] = SourceDeclaration.from_json(text)
                 except (KeyError, TypeError, AttributeError, ValueError) as error:
-                    reason = f"channel {channel.topic}: its declaration: {reason_of(error)}"
+                    reason = f"invalid declaration of channel {channel.topic}: {reason_of(error)}"
                     raise RecordingError(self.path, reason) from error
         if found or (CLOCK in index.metadata and not index.channels):
             return found
@@ -302,7 +303,7 @@ class Recording(PacketFile):
             problem = Problem(f"metadata {CLOCK}", reason_of(error), expected=_EXPECTED)
             raise RecordingError(self.path, problem) from error
         if number > FORMAT:
-            reason = f"is of format {number}; this version of sero-mj reads up to {FORMAT}"
+            reason = f"has format {number}; this version of sero-mj reads formats up to {FORMAT}"
             raise RecordingError(self.path, reason)
         return clock
 

@@ -2,11 +2,11 @@
 
     metadata `sero-mj`    format, version, started, start_epoch_ns, start_monotonic_ns
     metadata `about`      description of the recording: scene, robot, ...
-    metadata `lost`       source to the number of its lost packets, if any
+    metadata `lost`       number of lost packets by source, if any
     channel /NAME/raw     packets of a source as `std_msgs/UInt8MultiArray`; the metadata declares
                           how they are decoded
-    channel /NAME/signals decoded values, for plots in Foxglove and PlotJuggler; the metadata has
-                          the origin of each named number
+    channel /NAME/signals decoded values, for plots in Foxglove and PlotJuggler; the metadata
+                          contains the origin of each named number
     channel /ROBOT/joint_states   joint states of a robot, as in ROS
     attachments           the scene file and its robots' files
 
@@ -15,12 +15,12 @@ All messages are ROS 2 messages (profile `ros2`, definitions `ros2msg`, CDR), so
 each channel, and `rosbags` does not support JSON Schema. Files of format 1 have packets without a
 header, and JSON.
 
-The log time of a message is the arrival time of the packet, ns since the epoch. It is the monotonic
-clock with a constant offset, so it never jumps, and differences are exact.
+The log time of a message is the arrival time of the packet in ns since the epoch. It is the
+monotonic clock with a constant offset, so it never jumps, and differences are exact.
 
 Numbers with individual names (`lwr.A1.torque [Nm]`) are members of a message. The names of the
-members are derived from them (`lwr_a1_torque`), and a comment in the definition has the full name.
-Other values are arrays of numbers, points or frames. All numbers are float64.
+members are derived from these names (`lwr_a1_torque`), and comments in the definition contain the
+full names. Other values are arrays of numbers, points or frames. All numbers are float64.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from .joint_state_messages import CDR_HEAD, RULE, JointStates
 FORMAT = 2
 ABOUT, CLOCK, LOST = "about", "sero-mj", "lost"
 SOURCE_KEY = "sero-mj"  # key in the metadata of a raw channel
-LIBRARY = "sero-mj"  # in the header of the file
+LIBRARY = "sero-mj"  # name of the library in the header of the file
 RAW_SCHEMA = f"""\
 std_msgs/MultiArrayLayout layout
 uint8[] data
@@ -68,7 +68,7 @@ _MAX_NS = 2**64 - 1
 
 @dataclass(frozen=True)
 class RecordingClock:
-    """Start time of a recording, in ns since the epoch and on the clock of `time.monotonic`."""
+    """Start time of a recording, both since the epoch and on the clock of `time.monotonic`."""
 
     epoch_ns: int = field(default_factory=time.time_ns)
     monotonic_ns: int = field(default_factory=time.monotonic_ns)
@@ -101,11 +101,11 @@ class RecordingClock:
 
 @dataclass(frozen=True)
 class SourceDeclaration:
-    """The declaration by which a source's packets are decoded; metadata of a raw channel.
+    """Declaration for decoding the packets of a source, stored as metadata of the raw channel.
 
     Attributes:
         declared: fields of the source in the scene, as JSON types.
-        size: bytes of a packet.
+        size: size of a packet in bytes.
     """
 
     name: str
@@ -115,13 +115,13 @@ class SourceDeclaration:
     size: int
 
     def to_json(self) -> str:
-        """Returns JSON; raises TypeError if a field has another type."""
+        """Returns the declaration as JSON; raises TypeError if a field has no JSON type."""
         plain = {"declared": dict(self.declared), "events": dict(self.events)}
         return json.dumps({**vars(self), **plain})
 
     @classmethod
     def from_json(cls, text: str) -> SourceDeclaration:
-        """Reads JSON; raises KeyError, TypeError, AttributeError or ValueError."""
+        """Parses a declaration; raises KeyError, TypeError, AttributeError or ValueError."""
         found = json.loads(text)
         events = {str(event): tuple(map(int, shape)) for event, shape in found["events"].items()}
         return cls(
@@ -144,7 +144,7 @@ def unpack_raw(message: bytes) -> bytes:
         raise ValueError(f"found {len(message)} bytes; expected {_RAW_HEAD.size} or more")
     packet = message[_RAW_HEAD.size :]
     if _RAW_HEAD.unpack_from(message) != (CDR_HEAD, 0, 0, len(packet)):
-        raise ValueError("its header is not that of a packet")
+        raise ValueError("its header is not valid for a packet")
     return packet
 
 
@@ -172,14 +172,14 @@ _UNIT = re.compile(r" \[[^]]*\]$")
 
 @dataclass(frozen=True, eq=False)
 class Signals:
-    """The decoded values of a source in messages.
+    """Names, shapes and encoding of the decoded values of a source.
 
     Attributes:
-        shapes: event or routed input to its shape: (n,), (n, 3) or (n, 4, 4).
-        names: keys of `shapes` whose n numbers have individual names, to these names; the others
-            are arrays.
-        origins: individual name to the origin of the number, such as `values1[0]`.
-        joint_states: robot to its joint states.
+        shapes: shape (n,), (n, 3) or (n, 4, 4) of each event or routed input.
+        names: individual names of the n numbers, by key of `shapes`. Values without individual
+            names are arrays.
+        origins: origin of each number with an individual name, such as `values1[0]`.
+        joint_states: joint states by robot.
     """
 
     shapes: Mapping[str, tuple[int, ...]]
@@ -222,16 +222,16 @@ class Signals:
         return found
 
     def encode(self, values: Mapping[str, NDArray[np.float64]]) -> bytes:
-        """Converts a decoded packet, arrays by the keys of `shapes`, to a message."""
+        """Converts the values of a packet, with the keys of `shapes`, to a message."""
         return self.encode_table(self.table(values))[0]
 
     def table(self, values: Mapping[str, NDArray[np.float64]]) -> NDArray[np.float64]:
-        """Converts a decoded packet, arrays by the keys of `shapes`, to a row, (1, k)."""
+        """Converts the values of a packet, with the keys of `shapes`, to a table row (1, k)."""
         numbers = [np.asarray(values[key], np.float64).ravel() for key in self.shapes]
         return np.concatenate([*numbers, np.zeros(0)])[None]
 
     def encode_table(self, table: NDArray[np.float64]) -> list[bytes]:
-        """Converts n rows of numbers in the order of `shapes`, (n, k), to messages."""
+        """Converts each row of a table (n, k) of numbers in the order of `shapes` to a message."""
         if not self.shapes:
             return [CDR_HEAD + b"\0"] * len(table)
         rows = np.ascontiguousarray(table[:, self._order], "<f8")

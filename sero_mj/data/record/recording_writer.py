@@ -1,9 +1,9 @@
-"""`RecordingWriter`: writes packets and decoded values to an MCAP file that is always valid.
+"""Writes packets and decoded values to an MCAP file that is always valid.
 
-The records are always followed by a short ending without an index. Each write overwrites it and
-appends it again. If the process is killed, readers find a valid file without an index, or with an
-incomplete last chunk if it was killed during a write. On a full disk, the space for the ending is
-already allocated.
+The records are always followed by a short ending without an index. Each write overwrites the ending
+and appends it again. If the process is killed, readers find a valid file without an index, or with
+an incomplete last chunk if it was killed during a write. On a full disk, the space for the ending
+is already allocated.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _WHY = {
 
 
 def pack_record(record: McapRecord) -> bytes:
-    """Serializes a record."""
+    """Encodes an MCAP record as bytes."""
     builder = RecordBuilder()
     record.write(builder)
     return bytes(builder.end())
@@ -68,12 +68,12 @@ SHORT_ENDING = pack_record(DataEnd(0)) + pack_record(Footer(0, 0, 0)) + MCAP0_MA
 
 
 class McapStream:
-    """A stream for `mcap.writer.Writer`: buffers records until `flush` writes them with an ending.
+    """A stream for `mcap.writer.Writer` that buffers records until `flush` writes them.
 
     Raises RecordingError if the file exists and `overwrite` is not set, or if it cannot be written.
 
     Attributes:
-        contents: description of the data up to the last `flush`, for the error; empty without data.
+        contents: description of the data up to the last `flush`, for errors; empty without data.
         error: error after which nothing can be written, or None.
     """
 
@@ -106,7 +106,7 @@ class McapStream:
     def flush(self) -> None:
         """Overwrites the ending with the buffered records and a new ending; raises RecordingError.
 
-        After an error, the file still has the data written before.
+        After an error, the file still contains the data written before.
         """
         if self.error is not None:
             raise self.error
@@ -167,18 +167,18 @@ class _Channels:
 
 
 class RecordingWriter:
-    """Writes a recording, from one thread at a time; `Recorder` is for several threads.
+    """Writes a recording from one thread at a time. For several threads, use `Recorder`.
 
-    If the process is killed, the file has all data older than `flush_after`, provided that
+    If the process is killed, the file contains all data older than `flush_after`, provided that
     `flush_if_old` is called regularly. The file can be read while it is written. Memory grows by
     less than 1 kB per chunk, which is 7 MB per hour with chunks of 0.4 s. All methods raise
     RecordingError if the file cannot be written, and `__init__` if it exists.
 
     Args:
         about: description of the recording, such as `{"scene": "lwr_udp"}`.
-        overwrite: replace an existing file.
-        flush_after: time after which an incomplete chunk is written, s.
-        clock: start of the recording; now if None.
+        overwrite: whether to replace an existing file.
+        flush_after: time in seconds after which an incomplete chunk is written.
+        clock: start of the recording (default: now).
     """
 
     def __init__(
@@ -193,11 +193,11 @@ class RecordingWriter:
     ) -> None:
         self.clock = RecordingClock() if clock is None else clock
         self._channels: dict[str, _Channels] = {}
-        self._schemas: dict[str, int] = {}  # number by name
+        self._schemas: dict[str, int] = {}  # numbers by name
         self._chunk_bytes, self._flush_after = chunk_bytes, flush_after
         self._waiting = 0  # bytes of messages that are not in the file
-        self._oldest = 0.0  # time of the first of these, s on time.monotonic
-        self._count = 0  # all packets
+        self._oldest = 0.0  # time of the first of these messages in s on time.monotonic
+        self._count = 0  # number of all packets
         self._span = (2**64, 0)  # log times of the first and the last packet, ns
         self._file = McapStream(path, overwrite=overwrite)
         self._writer = Writer(self._file, chunk_size=_NO_LIMIT)  # type: ignore[arg-type]
@@ -228,9 +228,9 @@ class RecordingWriter:
 
         Args:
             declared: fields of the source, as JSON types, from which a replay builds its decoder.
-            events: event name to shape, (n,), (n, 3) or (n, 4, 4).
-            size: bytes of a packet.
-            signals: signals of decoded packets; their events if None.
+            events: shape (n,), (n, 3) or (n, 4, 4) of each event.
+            size: size of a packet in bytes.
+            signals: signals of decoded packets (default: the events).
         """
         if name in self._channels:
             raise ValueError(f"the recording already has a source '{name}'")
@@ -278,7 +278,7 @@ class RecordingWriter:
         self._file.flush()
 
     def write_raw(self, name: str, packet: bytes, arrival: float) -> None:
-        """Writes a packet, valid or malformed, with its arrival time, s on `time.monotonic`."""
+        """Writes a valid or malformed packet; `arrival` is in seconds on `time.monotonic`."""
         channels = self._find(name)
         log_time = self.clock.log_time(arrival)
         number = channels.number
@@ -289,14 +289,14 @@ class RecordingWriter:
         self._add(channels.raw, pack_raw(packet), log_time, number)
 
     def write_rows(self, name: str, rows: NDArray[np.uint8], arrivals: NDArray[np.float64]) -> None:
-        """Writes packets of one size, (n, bytes), with their arrival times, (n,)."""
+        """Writes n packets of one size, shape (n, bytes), with their arrival times in seconds."""
         for row, arrival in zip(rows, arrivals.tolist(), strict=True):
             self.write_raw(name, row.tobytes(), arrival)
 
     def write_signals(
         self, name: str, values: Mapping[str, NDArray[np.float64]], arrival: float
     ) -> None:
-        """Writes the decoded values of a packet, by keys of `Signals.shapes`, after `write_raw`."""
+        """Writes the values of a packet, with keys of `Signals.shapes`, after `write_raw`."""
         channels = self._find(name)
         table, number = channels.signals.table(values), max(0, channels.number - 1)
         self.write_signal_rows(name, table, np.array([arrival]), [number])
@@ -311,9 +311,9 @@ class RecordingWriter:
         """Writes the decoded values of n packets.
 
         Args:
-            table: numbers of all signals in their order, (n, k); matrices row by row.
-            arrivals: arrival times on the clock of `time.monotonic`, (n,), s.
-            sequences: numbers of the packets from 0, n.
+            table: numbers of all signals in their order, shape (n, k); matrices row by row.
+            arrivals: arrival times in seconds on the clock of `time.monotonic`, shape (n,).
+            sequences: numbers of the n packets, counted from 0.
         """
         channels = self._find(name)
         log_times = [self.clock.log_time(arrival) for arrival in arrivals.tolist()]
@@ -352,7 +352,7 @@ class RecordingWriter:
     def flush_if_old(self) -> float:
         """Flushes if the oldest buffered message is older than `flush_after`.
 
-        Returns the time until the next flush, s; infinite without buffered data.
+        Returns the time until the next flush in seconds, or infinity without buffered data.
         """
         remaining = self._oldest + self._flush_after - time.monotonic()
         if self._waiting and remaining > 0.0:

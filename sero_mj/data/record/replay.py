@@ -1,4 +1,4 @@
-"""`Replay`: a source that plays a recording and reproduces the received packets exactly."""
+"""Source that plays a recording and reproduces the received packets exactly."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ _FILE_KINDS = ("replay", "table")  # kinds that play files, which recordings mus
 
 
 class Replay(FileSource):
-    """Plays one source of a recording, and decodes the packets as that source does.
+    """Plays the packets of one source in a recording, and decodes them like the recorded source.
 
     Attributes:
-        source: name of the recorded source; if empty, the one with the same name as this source, or
-            the only one.
+        source: name of the recorded source (default: the source with the same name as this source,
+            or the only source).
         topics: topics to read from a ROS recording, with the keys of a source of kind `ros2`
             (`joint_states`, `joints`, `commands`, `wrench`, `frames`, ...).
     """
@@ -156,7 +156,7 @@ def _message_source(file: Path, topics: Mapping[str, Any]) -> Source | None:
 
 
 def receiver_of(file: Path, recorded: RecordedSource, name: str) -> Source:
-    """Returns the source that a recording declares, to decode packets; raises RecordingError."""
+    """Creates the source that a recording declares for decoding; raises RecordingError."""
     kind, of = recorded.kind, f"source '{recorded.name}'"
     kinds = [known for known in plugins(SOURCES) if known not in _FILE_KINDS]
     if kind not in kinds:
@@ -182,6 +182,6 @@ def _first_of(recording: PacketFile) -> float:
 
 
 def check_start(start: float, recording: PacketFile) -> None:
-    """Raises ValueError if a recording ends before the time `start`, s."""
+    """Raises ValueError if a recording ends before the time `start` in seconds."""
     if not start <= recording.duration:
         raise ValueError(f"found {start:g}; the recording ends at {recording.duration:.2f} s")

@@ -1,7 +1,7 @@
-"""The files of a scene in a recording, so that it can be displayed without them.
+"""Stores the files of a scene in a recording, which can then be displayed without these files.
 
 TOML files of scene, scenario and robots are attached as `FOLDER/FILE`. All files in the folder of
-the scene, including meshes, are also attached as `files/PATH`. Shipped files are not attached.
+the scene, including meshes, are also attached as `files/PATH`. Files of sero-mj are not attached.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ _MAX_MESH_BYTES = 50_000_000
 
 
 def attached_files(scene: Scene, tables: Iterable[Path]) -> dict[str, Path]:
-    """Returns the files to attach, by name in the recording; `tables` are the TOML files."""
+    """Returns the files to attach, by their names in the recording. `tables` are TOML files."""
     own = [file.absolute() for file in tables]
     found = {f"{file.parent.name}/{file.name}": file for file in own}
     if scene.file is None:
@@ -55,7 +55,7 @@ def table_names(recording: PacketFile) -> list[str]:
 
 
 def write_scene(recording: PacketFile, name: str, folder: Path) -> Path | None:
-    """Writes the files of the scene `name` to an empty folder, and returns its file there.
+    """Writes the files of the scene `name` to an empty folder, and returns the scene file.
 
     Returns None if the recording does not have the scene. Ignores paths outside of the folder.
     """

@@ -1,4 +1,4 @@
-"""`TriggeredRecorder`: buffers the last seconds of packets, and records each event in them."""
+"""Recorder that buffers the last seconds of packets, and records the time around each event."""
 
 from __future__ import annotations
 
@@ -26,22 +26,22 @@ _POLL = 0.1  # s
 _GATHER = 0.01  # s; packets are checked together, because many take as long as a few
 _SAME = 1e-6  # s; rounding errors of times are smaller
 
-# Function of source, rows (n, bytes) and lengths (n,) that returns which packets fulfill the
-# condition, (n,), and a function that describes one of them.
+# Function of a source name, rows (n, bytes) and lengths (n,). It returns a mask (n,) of the packets
+# that fulfill the condition, and a function that describes a packet by its row.
 Find = Callable[[str, Rows, Ints], tuple[Bools, Callable[[int], str]]]
 Clock = Callable[[], float]
 
 
 @dataclass(frozen=True)
 class RecordedEvent:
-    """A recorded event. Times are s on the clock of arrivals.
+    """An event and its recording. Times are in seconds on the clock of arrival times.
 
     Attributes:
-        number: number of the event, from 1.
+        number: number of the event, counted from 1.
         time: time at which the event began.
         what: values that fulfill the condition: `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`.
-        began: begin of the recording.
-        ended: end of the recording; NaN until it ends.
+        began: start time of the recording.
+        ended: end time of the recording; NaN until it ends.
         again: number of times that the condition was fulfilled again during the recording.
     """
 
@@ -94,9 +94,9 @@ class TriggerStatistics:
     """Counts of packets and events so far.
 
     Attributes:
-        buffer_bytes: size of the buffer.
-        evicted: packets that were removed early because the buffer was full.
-        unchecked: source to the number of packets that were not checked because the queue was full.
+        buffer_bytes: size of the buffer in bytes.
+        evicted: number of packets that were removed early because the buffer was full.
+        unchecked: number of packets by source that were not checked because the queue was full.
     """
 
     packets: int
@@ -114,20 +114,21 @@ class TriggeredRecorder(PacketWorker):
     Each event has its own recording. An event during a recording extends that recording.
 
     Args:
-        path_of: function from number (from 1) and time of an event to its file.
-        find: function that checks the condition; called in the recorder's thread.
-        before: time to record before an event, s.
-        after: time to record after the condition was last fulfilled, s.
-        overwrite: replace existing files; otherwise, an existing file is an error.
+        path_of: function that returns the file for the number (from 1) and time of an event.
+        find: function that checks the condition, called in the recorder's thread.
+        before: time in seconds to record before an event.
+        after: time in seconds to record after the condition was last fulfilled.
+        overwrite: whether to replace existing files; otherwise, an existing file is an error.
         signals_rate: maximum number of packets per second and source whose decoded values are
             recorded as well.
-        buffer_bytes: maximum size of the buffer.
-        clock_at: function from the arrival time of the first packet of a recording to its clock;
-            None for live sources.
-        now: the clock of arrivals; None if it is not a real-time clock.
+        buffer_bytes: maximum size of the buffer in bytes.
+        clock_at: function that returns the clock of a recording for the arrival time of its first
+            packet; None for live sources.
+        now: function that returns the time on the clock of arrival times; None if this is not a
+            real-time clock.
 
     Attributes:
-        on_event: called when an event begins, and again when its recording is complete.
+        on_event: function called when an event begins, and when its recording is complete.
     """
 
     def __init__(
@@ -157,9 +158,8 @@ class TriggeredRecorder(PacketWorker):
         self._count = 0  # packets of the current recording
         self._packets = 0
         self._last_seen = math.nan  # arrival of the last packet
-        self._was_fulfilled: dict[
-            str, bool
-        ] = {}  # source to whether its last packet fulfilled the condition
+        # Whether the last packet of each source fulfilled the condition.
+        self._was_fulfilled: dict[str, bool] = {}
         self._requested: list[str] = []  # descriptions of events from `record_now`
         super().__init__("triggered recorder")
 
@@ -173,7 +173,7 @@ class TriggeredRecorder(PacketWorker):
         self._files.append((name, media_type, data))
 
     def record_now(self, what: str) -> None:
-        """Starts a recording of the current time, without a condition."""
+        """Records the time around the current time as an event, regardless of the condition."""
         with self._changed:
             self._requested.append(what)
             self._changed.notify_all()
@@ -338,6 +338,6 @@ def _joined(batches: list[Batch]) -> list[Batch]:
 
 
 def live_clock(arrival: float) -> RecordingClock:
-    """Returns the recording clock of an arrival time, s on the clock of `time.monotonic`."""
+    """Returns the clock of a live recording that starts at a time of `time.monotonic` in s."""
     ago = round((time.monotonic() - arrival) * 1e9)
     return RecordingClock(time.time_ns() - ago, round(arrival * 1e9))

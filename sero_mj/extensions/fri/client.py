@@ -1,4 +1,4 @@
-"""`kind = "fri"`: a client of KUKA's Fast Research (or Robot) Interface with a simulated robot."""
+"""Controller kind `fri`, with which a client of KUKA's FRI commands a simulated robot."""
 
 from __future__ import annotations
 
@@ -14,8 +14,7 @@ from .iiwa_fri import IiwaFri
 from .lwr_fri import LwrFri
 from .robot import JOINTS, FriRobot, FriSession
 
-# Mapping from quantities that a client may command in addition to joint positions to the required
-# control mode.
+# Required control mode, by quantity that a client commands in addition to joint positions.
 _REQUIRED_CONTROL = {"wrench": "cartesian_impedance", "torque": "joint_impedance"}
 
 
@@ -39,7 +38,7 @@ class FriClient(FriSession):
 
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
-        low, high = fri.CYCLES  # the same for an iiwa
+        low, high = fri.CYCLES  # this range also applies to an iiwa
         if self.cycle and not low <= self.cycle <= high:
             raise mismatch(self.cycle, f"{low} to {high} s", key="cycle")
         required = _REQUIRED_CONTROL.get(self.command_mode)

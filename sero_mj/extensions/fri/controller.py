@@ -1,4 +1,4 @@
-"""`FriController`: emulates the controller of an LWR on FRI 1.0, with an example motion."""
+"""Emulates the controller of an LWR on FRI 1.0, which performs an example motion."""
 
 from __future__ import annotations
 
@@ -88,23 +88,23 @@ class FriSignals:
 
 
 class FriController:
-    """The controller's side of FRI 1.0: sends measurements and receives answers.
+    """The controller side of FRI 1.0, which sends measurements and receives answers.
 
     Counters wrap at 16 bits. Statistics cover the last 100 packets. The quality follows the answer
     rate; if it is unacceptable, the interface falls back from command to monitor state. Commands
     are counted but have no effect: the robot continues its motion.
 
     Args:
-        cycle: time between packets, 0.001 to 0.1 s.
+        cycle: time between packets in seconds, from 0.001 to 0.1.
         quality: name of a quality to report regardless of the answers.
-        amplitude: scale of the motion, 0 to 1.
+        amplitude: scale of the motion, from 0 to 1.
         faults: simulated network faults in `run` (default: none).
 
     Attributes:
-        command_flags: all flags that were set in answers, combined.
+        command_flags: union of all flags that were set in answers.
 
     Raises:
-        UsageError: the robot, cycle or quality does not exist in FRI.
+        UsageError: FRI does not support the robot, the cycle or the quality.
     """
 
     def __init__(
@@ -185,7 +185,7 @@ class FriController:
         return True
 
     def run(self, to: UdpSink, duration: float | None = None) -> SendReport:
-        """Sends for a duration in s (default: until interrupted) and processes answers.
+        """Sends for a duration in seconds (default: until interrupted) and processes answers.
 
         `packets` of the returned report includes packets lost by the simulated network.
         """
@@ -250,7 +250,7 @@ class AnswerStatistics:
             self._sent.popleft()
 
     def answer(self, reflected: int, time: float) -> None:
-        """Registers an answer received at a time in s; a delayed answer counts as missed."""
+        """Registers an answer received at a time in seconds. A late answer counts as missed."""
         waiting = list(self._sent)[-_MAX_UNANSWERED:]
         for packet in waiting:
             if packet.counter == reflected and packet.latency is None:
@@ -261,7 +261,7 @@ class AnswerStatistics:
         return [packet.latency for packet in judged if packet.latency is not None]
 
     def values(self) -> dict[str, float]:
-        """Returns FRI's statistics; packets before the first one count as unanswered."""
+        """Returns FRI's statistics. Packets before the first packet count as unanswered."""
         latencies = self._latencies()
         rate = len(latencies) / WINDOW
         return {
@@ -281,7 +281,7 @@ class AnswerStatistics:
 
 @dataclass
 class NetworkFaults:
-    """Simulates a network that loses, duplicates and swaps packets with probabilities of 0 to 1."""
+    """Simulates a network that loses, duplicates and swaps packets with given probabilities."""
 
     loss: float = 0.0
     duplicates: float = 0.0
@@ -297,8 +297,8 @@ class NetworkFaults:
         self._random = np.random.default_rng(self.seed)
 
     def transmit(self, packet: bytes) -> list[bytes]:
-        """Returns the packets that leave the network when this one enters."""
-        chance = self._random.random(3)  # always three, so that the faults are independent
+        """Returns the packets that leave the network when a packet enters."""
+        chance = self._random.random(3)  # always three numbers, so that faults are independent
         after = self.flush()
         if chance[0] < self.loss:
             self.lost += 1

@@ -3,8 +3,8 @@
 The controller sends one monitoring message per cycle (1 to 100 ms). It is encoded with Protocol
 Buffers and varies in size; `IiwaLayout` converts messages to packets with a fixed layout. A client
 answers every `receive_multiplier`-th message, even if it only monitors. FRI 2.7 puts the length
-before the message and a checksum after it. Field numbers are those of the interface in the client
-SDKs 1.11 to 2.7; the field names are ours.
+before the message and a checksum after it. Field numbers are from the client SDKs 1.11 to 2.7, and
+field names are ours.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ...data.receive.structure import Rows, Structure, TorqueSign
 PORT = 30200  # FRI's own default
 JOINTS = 7
 MONITORING_ID, COMMAND_ID = 0x245142, 0x34001
-# Measured and commanded torques are those of the load on the drive, so their sign is opposite to
+# Measured and commanded torques are exerted by the load on the drive, so their sign is opposite to
 # ours. External torques and the torques that a client commands have our sign. Sources: drake
 # manipulation/README.md and lbr_fri_ros2_stack issue 249; docs/conventions.md.
 TORQUE_SIGN: TorqueSign = -1
@@ -70,11 +70,11 @@ _UNPACKED = {count: struct.Struct("<" + "xd" * count) for count in (6, JOINTS)}
 _TAGGED = struct.Struct("<" + "Bd" * JOINTS)
 _DOUBLE = struct.Struct("<d")
 
-Fields = dict[int, list[int | bytes]]  # field number to all of its values
+Fields = dict[int, list[int | bytes]]  # all values of each field, by field number
 
 
 def read_fields(message: bytes) -> Fields:
-    """Returns the fields of a message: integers, and the bytes of all others; raises ValueError."""
+    """Parses a message into integers, and bytes for fields of other types; raises ValueError."""
     fields: Fields = {}
     at, end = 0, len(message)
     while at < end:
@@ -150,7 +150,7 @@ def _double(fields: Fields, number: int) -> float:
 
 
 def unframed(packet: bytes) -> tuple[bytes, bool]:
-    """Returns the message in a packet and whether it has a length and checksum (FRI 2.7).
+    """Returns the message in a packet, and whether the packet has a length and checksum (FRI 2.7).
 
     Raises:
         ValueError: the checksum is wrong.
@@ -173,7 +173,7 @@ def pack(packet: bytes, version: str) -> bytes:
     robot, ipo = read_fields(read_message(fields, 2)), read_fields(read_message(fields, 5))
     monitor = read_fields(read_message(fields, 3))
     if 1 not in header or 2 not in header:
-        raise ValueError("it has no header")
+        raise ValueError("the header is missing")
     joints = read_integer(robot, 1)
     if joints not in (UNKNOWN, JOINTS):
         raise ValueError(f"found {joints} joints; expected {JOINTS}")
@@ -214,10 +214,10 @@ def pack(packet: bytes, version: str) -> bytes:
 
 
 class IiwaLayout(Structure):
-    """Packets that monitoring messages of an iiwa are converted to.
+    """Layout of the packets to which monitoring messages of an iiwa are converted.
 
     `version` is `iiwa-1` or `iiwa-2`. Moments are sent in the order z, y, x and returned as x, y,
-    z. Missing values are NaN, missing states -1.
+    z. Missing values are NaN, and missing states are -1.
     """
 
     message = "FRI message"
@@ -258,9 +258,9 @@ class IiwaLayout(Structure):
         return state > 0 and word(QUALITIES, quality) in ("good", "excellent")
 
     def describe(self, values: Mapping[str, Array]) -> str:
-        """Returns the state of the robot's controller in words."""
+        """Returns a description of the robot controller's state."""
         drives = values["drives"]
-        drive = drives[0] if (drives == drives[0]).all() else 1.0  # as KUKA's client has it
+        drive = drives[0] if (drives == drives[0]).all() else 1.0  # like KUKA's client
         texts = [
             word(STATES, values["state"][0]),
             f"quality {word(QUALITIES, values['quality'][0])}",
@@ -280,7 +280,7 @@ def word(words: Sequence[str], number: float) -> str:
 
 
 class MonitoringClient:
-    """Answers monitoring messages like a client that only monitors: with a header alone.
+    """Answers monitoring messages with only a header, like a client that only monitors.
 
     While a controller waits for commands or follows them, its messages are not answered, because
     such an answer would have to contain a command.
@@ -290,7 +290,7 @@ class MonitoringClient:
         self._unanswered = 0
 
     def answer(self, packet: bytes, counter: int) -> bytes | None:
-        """Returns the answer to a message, or None if none is due."""
+        """Returns the answer to a message, or None if no answer is due."""
         try:
             message, is_framed = unframed(packet)
             fields = read_fields(message)
@@ -313,10 +313,10 @@ class MonitoringClient:
 
 
 def no_command(counter: int, reflected: int) -> bytes:
-    """Returns a command message without a command, which is only its header.
+    """Returns a command message without a command, which consists only of a header.
 
     Args:
-        counter: number of messages sent before, uint32.
+        counter: number of messages sent before (uint32).
         reflected: `send_counter` of the message that is answered.
     """
     header = integer_field(1, COMMAND_ID), integer_field(2, counter), integer_field(3, reflected)
@@ -329,23 +329,23 @@ def framed(message: bytes) -> bytes:
 
 
 def integer_field(number: int, value: int) -> bytes:
-    """Returns an integer field."""
+    """Encodes an integer field of a message."""
     return bytes((number << 3,)) + _encoded(value)
 
 
 def float_field(number: int, value: float) -> bytes:
-    """Returns a float64 field."""
+    """Encodes a float64 field of a message."""
     return bytes((number << 3 | 1,)) + _DOUBLE.pack(value)
 
 
 def message_field(number: int, *fields: bytes) -> bytes:
-    """Returns a field with a message that contains these fields."""
+    """Encodes a field whose value is a message with the given fields."""
     message = b"".join(fields)
     return bytes((number << 3 | 2,)) + _encoded(len(message)) + message
 
 
 def joints_field(number: int, values: Array) -> bytes:
-    """Returns a field with a message that contains a list of one value per joint."""
+    """Encodes a field whose value is a message with a list of one value per joint."""
     return message_field(
         number, _TAGGED.pack(*(x for value in values.tolist() for x in (9, value)))
     )

@@ -1,6 +1,6 @@
-"""`IiwaFri`: the simulated robot as an LBR iiwa or Med on FRI 1.x and 2.x.
+"""Simulates an LBR iiwa or Med on FRI 1.x and 2.x.
 
-The robot's program holds its position and lets a client overlay another one, as in KUKA's examples.
+The robot's program holds a position, and a client can overlay another one, as in KUKA's examples.
 The session waits until the connection is good (`MONITORING_WAIT`), requests commands
 (`COMMANDING_WAIT`, in which a client mirrors the angles of the program) and follows them
 (`COMMANDING_ACTIVE`). If the connection is no longer good or a command is invalid, the overlay ends
@@ -37,7 +37,7 @@ MONITORING_WAIT, MONITORING_READY, COMMANDING_WAIT, COMMANDING_ACTIVE = 1, 2, 3,
 _GOOD = 2  # minimum quality at which commands are followed
 _CONTROLS = {"position": 0, "cartesian_impedance": 1, "joint_impedance": 2}
 _MODES = {"position": 1, "wrench": 2, "torque": 3}
-# Field of a command that contains the addition to the joint positions, and its length.
+# Number and length of the command field with the quantity in addition to joint positions.
 _ADDITIONS = {"wrench": (2, 6), "torque": (3, JOINTS)}
 _NORMAL, _ACTIVE_DRIVE, _AUTOMATIC, _JOINT_OVERLAY = 0, 2, 2, 1
 _COUNTER_MASK = 0xFFFFFFFF
@@ -50,7 +50,7 @@ class IiwaFri(FriRobot):
     """Simulates an iiwa on FRI 1.x or 2.x.
 
     Attributes:
-        state: index in `iiwa.STATES`.
+        state: state of the session, an index in `iiwa.STATES`.
     """
 
     def __init__(
@@ -178,7 +178,7 @@ class IiwaFri(FriRobot):
             self.state = COMMANDING_ACTIVE
             self._offset[:] = 0.0
             log.info("%s: command state begins at %.3f s", self._model.name, self._time)
-        elif mode == "torque":  # these have our sign, unlike the torques that the robot reports
+        elif mode == "torque":  # commanded torques have our sign, unlike reported torques
             self._extra_torques[:] = added
         elif added is not None:
             rotate = np.kron(np.eye(2), self._model.base()[:3, :3])

@@ -1,4 +1,4 @@
-"""`LwrFri`: the simulated robot as an LWR 4+ on FRI 1.0."""
+"""Simulates an LWR 4+ on FRI 1.0."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _EVENTS = {
     CARTESIAN_STIFFNESS: "cartesian_stiffness",
     CARTESIAN_DAMPING: "cartesian_damping",
 }
-# Axis speeds of the LWR 4+, rad/s; a command that requires more is rejected.
+# Maximum joint velocities of the LWR 4+ in rad/s. Commands that exceed them are rejected.
 MAX_SPEEDS = np.deg2rad([110.0, 110.0, 128.0, 128.0, 204.0, 184.0, 184.0])
 _DAMPING_RATIOS = 0.1, 1.0
 _MAX_FLANGE_STIFFNESS = 5000.0  # N/m, Nm/rad
@@ -50,7 +50,7 @@ class LwrFri(FriRobot):
     """Simulates an LWR on FRI 1.0.
 
     Attributes:
-        state: `MONITOR` or `COMMANDED`.
+        state: state of the session, `MONITOR` or `COMMANDED`.
     """
 
     def __init__(

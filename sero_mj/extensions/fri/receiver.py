@@ -1,9 +1,9 @@
-"""`FriReceiver`: measurements of a KUKA LWR 4/4+ (FRI 1.0) or iiwa, and the packets of FRI 1.0.
+"""Receives measurements of a KUKA LWR 4/4+ (FRI 1.0) or iiwa, and defines the packets of FRI 1.0.
 
 The controller sends one measurement packet per cycle (1 to 100 ms) to a configured address. A
-client answers each of them with a command packet. Without answers, the controller continues to
-send, with the quality `unacceptable`. Packets are little-endian without padding; the layouts are
-those of the interface, the names are ours.
+client answers each packet with a command packet. Without answers, the controller continues to send,
+with the quality `unacceptable`. Packets are little-endian without padding. Their layouts are from
+the interface, and the names are ours.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ QUALITIES = {0: "unacceptable", 1: "bad", 2: "ok", 3: "perfect", INVALID: "inval
 _ID = 0x2006  # datagram id of measurements
 _HEADER = "send_counter:1H reflected_counter:1H packet_size:1H=size datagram_id:1H={}"
 _KRL = "krl_real:16f krl_int:16i krl_bool:1H 2x"
-# From the controller, 916 bytes.
+# Packet from the controller, 916 bytes.
 MEASUREMENT = " ".join(
     (
         _HEADER.format(hex(_ID)),
@@ -51,7 +51,7 @@ MEASUREMENT = " ".join(
         "jacobian:42f mass_matrix:49f gravity_torques:7f",
     )
 )
-# To the controller, 376 bytes. Values are ignored unless their bit in `command_flags` is set.
+# Packet to the controller, 376 bytes. Values have an effect if their bit in `command_flags` is set.
 COMMAND = " ".join(
     (
         _HEADER.format("0x1005"),
@@ -60,7 +60,7 @@ COMMAND = " ".join(
         "joint_stiffness:7f joint_damping:7f cartesian_stiffness:6f cartesian_damping:6f",
     )
 )
-# Packet size to structure and description.
+# Structure and description by packet size.
 KNOWN_PACKETS = {
     916: (MEASUREMENT, "KUKA FRI, measured data (LWR 4)"),
     376: (COMMAND, "KUKA FRI, commands (LWR 4)"),
@@ -70,7 +70,7 @@ _COMMANDED = ("commanded_before_fri", "commanded_offset")
 
 
 class FriLayout(Structure):
-    """The measurement packet, converted to the conventions of this package.
+    """Layout of the measurement packet, with values in the conventions of this package.
 
     - `commanded_angles` is added. FRI reports the command of the robot's program and the offset of
       its client; the robot follows their sum.
@@ -119,7 +119,7 @@ class FriLayout(Structure):
         return state_word in ("monitor", "command") and quality_word in ("ok", "perfect")
 
     def describe(self, values: Mapping[str, Array]) -> str:
-        """Returns the state of the robot's controller in words."""
+        """Returns a description of the robot controller's state."""
         return "state {}, quality {}".format(*self.link_words(*self.link_state(values)))
 
     @property
@@ -132,7 +132,7 @@ class FriLayout(Structure):
         return super().find_not_finite(rows, but)
 
     def bounds(self, limits: Mapping[str, float]) -> list[Any]:
-        if "commanded_angles" in limits:  # the sum of two
+        if "commanded_angles" in limits:  # the sum of two events
             half = limits["commanded_angles"] / 2.0
             parts = {part: min(half, limits.get(part, half)) for part in _COMMANDED}
             limits = {**limits, **parts}
@@ -180,7 +180,7 @@ _NO_COMMAND = Structure(COMMAND).encode({})[4:]
 def counter_of(packet: memoryview, length: int) -> int | None:
     """Returns the `send_counter` of a measurement, or None for any other packet.
 
-    The checks are those of `FriLayout.find_wrong_constants`, but ten times faster for one packet.
+    The checks are the same as in `FriLayout.find_wrong_constants`, but ten times faster.
     """
     if length != _SIZE:
         return None
@@ -189,7 +189,7 @@ def counter_of(packet: memoryview, length: int) -> int | None:
 
 
 def no_command(counter: int, reflected: int) -> bytes:
-    """Returns a command packet without a command: all zero except its header.
+    """Returns a command packet without a command, which is zero except for its header.
 
     Args:
         counter: number of packets sent so far, including this one; the lower 16 bits are sent.
@@ -216,8 +216,8 @@ class FriReceiver(UdpReceiver):
     """Receives the measurements of an LWR or an iiwa without commanding it.
 
     `structure`, byte order, counters and time stamps are fixed by FRI and cannot be set. Frames are
-    T_base_tcp with the base and tool that are set in the controller; without a tool, this is base
-    to flange. `answer_rate` is 1 if every packet was answered. Like `latency`, `jitter` (s) and
+    T_base_tcp with the base and tool that are set in the controller. Without a tool, they are
+    T_base_flange. `answer_rate` is 1 if every packet was answered. Like `latency`, `jitter` (s) and
     `miss_rate`, it is an average of the controller over 100 packets.
 
     Attributes:
@@ -261,7 +261,7 @@ class FriReceiver(UdpReceiver):
         return fields
 
     def model_post_init(self, context: Any, /) -> None:
-        """Allows values that an iiwa may omit to be missing until the routes are known."""
+        """Allows an iiwa to omit optional values until the routes are known."""
         self.__pydantic_fields_set__.discard("structure")  # it was set by `_complete`
         if self.is_iiwa:
             self._nan_allowed = fri_iiwa.OPTIONAL & self.events.keys()
@@ -279,7 +279,7 @@ class FriReceiver(UdpReceiver):
     def decoding_fields(self) -> dict[str, Any]:
         if not self.is_iiwa:
             return super().decoding_fields()
-        kept = {"version", "torque_sign"}  # these determine the structure and the signs
+        kept = {"version", "torque_sign"}  # fields that determine the structure and the signs
         return self.model_dump(mode="json", include=kept, exclude_defaults=True)
 
     @property

@@ -1,4 +1,4 @@
-"""`FriRobot`: a simulated robot on FRI: its session with a client, and its control."""
+"""Base class of simulated robots on FRI, with the session of a client and the joint control."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ class FriSession(Reachable):
         command_mode: quantity that a client of an iiwa commands: `position`; `torque` in addition
             to positions (with `joint_impedance`); or `wrench` in addition to positions (with
             `cartesian_impedance`).
-        cycle: time between packets, 0.001 to 0.1 s; 0 for the time step of the simulation.
+        cycle: time between packets from 0.001 to 0.1 s; 0 for the time step of the simulation.
         commands_from: time in s from which the robot's program requests the command state, which
             begins as soon as the connection quality is sufficient; None for never.
-        stiffness: joint stiffness, Nm/rad; clients of an LWR can change it.
-        damping: damping ratio per joint; clients of an LWR can change it.
+        stiffness: joint stiffness in Nm/rad, which clients of an LWR can change.
+        damping: damping ratio per joint, which clients of an LWR can change.
     """
 
     version: Literal["1", "iiwa-1", "iiwa-2", "iiwa-2.7"] = "1"
@@ -55,11 +55,11 @@ class FriSession(Reachable):
 
 
 class FriRobot(Controller, ABC):
-    """Sends a packet in each cycle of `steps` time steps, and applies the command that answers it.
+    """Sends a packet every `steps` time steps, and applies the command in the client's answer.
 
     Attributes:
-        logged: state and quality as FRI numbers them, and the delay of this step in s.
-        quality: connection quality, 0 to 3. The thresholds are ours, see `AnswerStatistics`.
+        logged: FRI numbers of state and quality, and the delay of this step in seconds.
+        quality: connection quality from 0 to 3. The thresholds are ours, see `AnswerStatistics`.
         wrong: number of received packets that are not commands.
     """
 
@@ -81,7 +81,7 @@ class FriRobot(Controller, ABC):
         self.error = False
         self._is_new = Once()
         self._base: Array = np.zeros(JOINTS)  # angles commanded by the robot's program
-        self._offset: Array = np.zeros(JOINTS)  # added by the client
+        self._offset: Array = np.zeros(JOINTS)  # angles added by the client
         self._extra_torques: Array = np.zeros(JOINTS)
         self._stiffness = declared.per_joint("stiffness", JOINTS)
         self._damping = declared.per_joint("damping", JOINTS)

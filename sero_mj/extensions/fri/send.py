@@ -1,4 +1,4 @@
-"""`sero-mj send` for a source of kind `fri`: emulates the controller of an LWR."""
+"""Implements `sero-mj send` for sources of kind `fri` by emulating the controller of an LWR."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ _CYCLE = 0.005  # s; common in laboratories, and a light load for one core
 
 
 def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
-    """Sends as the controller of the robot that the source moves; returns the exit status."""
+    """Emulates the controller of the robot that the source moves, and returns the exit status."""
     layout = source.layout  # with the receiver's torque sign
     if not isinstance(layout, FriLayout):
         reason = f"is {source.about}; expected FRI 1.0 of an LWR. Use --play to send a recording"
         raise UsageError(f"source '{source.name}' {reason}")
     options.refuse(("shm",), ": FRI is a protocol over UDP; leave it out")
-    options.refuse(("structure",), ": FRI fixes it; leave it out")
+    options.refuse(("structure",), ": FRI determines it; leave it out")
     if options.cycle is not None and options.rate is not None:
         raise UsageError("--cycle and --rate both set the cycle; use one of them")
     cycle = _CYCLE if options.rate is None else 1.0 / options.rate

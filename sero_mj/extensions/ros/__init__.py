@@ -1,4 +1,4 @@
-"""Robots that use ROS 2, and their recordings, without an installation of ROS.
+"""Support of ROS 2 robots and recordings without a ROS installation.
 
 In: messages over DDS, foxglove_bridge, zenoh or JSON, or from bags. Out: sources and recordings
 with packets of one structure, and the controller kind `ros2`.

@@ -1,4 +1,4 @@
-"""`Bag`: ROS recordings in the formats rosbag2 (MCAP or SQLite) and ROS 1 bag.
+"""Reads ROS recordings in the formats rosbag2 (MCAP or SQLite) and ROS 1 bag.
 
 Messages of several topics are joined to packets of one source, in the same way as live messages.
 """
@@ -49,7 +49,7 @@ _FIRST_TRANSFORMS = 200  # messages; all publishers should have sent a transform
 
 
 def is_bag(path: Path) -> bool:
-    """Whether the name of a file or folder is that of a ROS recording. MCAP files are excluded."""
+    """Returns whether a path has the name of a ROS recording. MCAP files are excluded."""
     return path.suffix.lower() in _ENDINGS or (path / _METADATA).is_file()
 
 
@@ -58,7 +58,7 @@ def open_bag(
     topics: Mapping[str, Source] | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> PacketFile | None:
-    """Opens a ROS recording, or returns None; see `data.record.formats.open_recording`."""
+    """Opens a ROS recording, or returns None for other files; see `formats.open_recording`."""
     chosen = {name: each for name, each in (topics or {}).items() if isinstance(each, RosSource)}
     if path.is_dir() and not is_bag(path):
         files = bag_files_in(path)
@@ -133,7 +133,7 @@ class Bag(PacketFile):
 
     Args:
         path: file, or folder of a rosbag2.
-        topics: mapping from source names to sources with the topics to read; sources without a
+        topics: mapping from source names to sources with the topics to read. Sources without a
             recorded topic are ignored. By default, each topic of joint states becomes a source
             (`/arm/joint_states` becomes `arm_joint_states`) with the joints in its first messages.
 
@@ -160,7 +160,7 @@ class Bag(PacketFile):
         self.path, self._report, self._is_json = path, report, is_json
         self.about, self.lost, self.faults = {}, {}, []
         self.nameless: list[str] = []
-        self._skip_reasons: set[str] = set()  # of skipped messages, in `faults`
+        self._skip_reasons: set[str] = set()  # entries of `faults` about skipped messages
         self._reader: Any = None
         try:
             if is_json:
@@ -172,7 +172,7 @@ class Bag(PacketFile):
         except RecordingError:
             self.close()
             raise
-        except Exception as error:  # rosbags, its parsers and its decompressors raise many kinds
+        except Exception as error:  # rosbags, its parsers and decompressors raise many exceptions
             self.close()
             raise RecordingError(path, _why_unreadable(path, error)) from error
 
@@ -363,8 +363,8 @@ class Bag(PacketFile):
     def parent_frames(self) -> dict[str, tuple[str, bool]]:
         """Returns a mapping from frames in the first transforms to their parent frames.
 
-        Each value consists of the parent frame and of whether the transform is from `/tf`, so that
-        it can change. Frame names have no prefix.
+        Each value is the name of the parent frame, and whether the transform is from `/tf` and can
+        therefore change. Frame names have no prefix.
         """
         found = {}
         for topic in ("/tf_static", "/tf"):

@@ -1,4 +1,4 @@
-"""Scenes whose robot is moved by a recording of ROS."""
+"""Scenes whose robot is moved by a ROS recording."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...robots.declared.scene import Scene
 from .joined_packets import TF
 from .ros_source import is_tf
 
-_NAMELESS = "joint_states"  # the source of messages that do not name joints
+_NAMELESS = "joint_states"  # name of the source of messages that do not name joints
 
 
 def led_by(
@@ -26,12 +26,12 @@ def led_by(
     parent_frames: Callable[[], Mapping[str, tuple[str, bool]]],
     source: str | None,
 ) -> Scene:
-    """Returns a copy of a scene with one robot, which the recording moves; see `PacketFile.lead`.
+    """Returns a copy of a scene with one robot, which the recording moves.
 
     Args:
-        nameless: see `Bag`.
-        parent_frames: see `Bag.parent_frames`.
-        source: source that moves the robot (default: the one with the robot's joint names).
+        nameless: topics whose messages contain no joint names.
+        parent_frames: function that returns the parent frames, see `Bag.parent_frames`.
+        source: source that moves the robot (default: the source with the robot's joint names).
     """
     if scene.sources or len(scene.robots) != 1:
         return scene

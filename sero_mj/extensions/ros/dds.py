@@ -1,7 +1,7 @@
-"""`Ros2`: ROS 2 topics over DDS. It uses Cyclone DDS and needs no ROS installation.
+"""Reads ROS 2 topics over DDS with Cyclone DDS, without a ROS installation.
 
-The DDS name of the topic `/x` is `rt/x`, and that of the type `pkg/msg/T` is `pkg::msg::dds_::T_`.
-This was tested with publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
+In DDS, the topic `/x` is named `rt/x`, and the type `pkg/msg/T` is named `pkg::msg::dds_::T_`. This
+was tested with publishers that use Fast DDS, the default of ROS 2, and Cyclone DDS.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ class Ros2(RosSource):
 
 
 class Readers:
-    """Reads the topics of a source."""
+    """Reads the DDS topics of a source."""
 
     def __init__(self, source: Ros2, listener: Listener) -> None:
         self._source, self._listener = source, listener
@@ -195,7 +195,7 @@ class Participant:
     Args:
         host: location of the other participants, see `Ros2`.
         domain: ROS_DOMAIN_ID, see `Ros2`.
-        owner: name of the source or controller, for errors.
+        owner: name of the source or controller for error messages.
     """
 
     def __init__(self, host: str, domain: int | None, owner: str) -> None:
@@ -254,7 +254,7 @@ class Participant:
         return Reader(reader)
 
     def writer(self, topic: str, kind: str) -> Writer:
-        """Returns a writer of a topic that stores only the newest message.
+        """Returns a writer of a topic. The writer stores only the newest message.
 
         Args:
             topic: full name of the topic, with a leading `/`.
@@ -297,7 +297,7 @@ class Participant:
         ]
 
     def wait(self, seconds: float) -> bool:
-        """Waits for messages. Returns whether any have arrived."""
+        """Waits for messages, and returns whether any have arrived."""
         from cyclonedds.util import duration
 
         return bool(self._waits.wait(duration(nanoseconds=round(max(seconds, 0.0) * 1e9))))

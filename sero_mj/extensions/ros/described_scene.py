@@ -1,4 +1,4 @@
-"""Scenes of robots that ROS describes, in a topic or in a recording."""
+"""Scenes of robots that are described in a ROS topic or recording."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ...data.record.recording import PacketFile
 from .bag_scenes import source_routes
 from .network import SCHEME, Address, Found, find_robot, robots_with
 
-DESCRIPTION = "robot.urdf"  # an attachment: the message of the topic robot_description
+DESCRIPTION = "robot.urdf"  # attachment that contains the message of the topic robot_description
 _PATIENCE = 5.0  # s; maximum time to wait for a robot in a network
 _SOURCE = "ros"
 _SHOWN = 40  # characters of an invalid description in an error
@@ -65,7 +65,7 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 
     Args:
         robot: URDF of the robot, or the name of a model.
-        source: table of the source that moves it, if any.
+        source: table of the source that moves the robot, or None.
     """
     folder, model = paths.make_temporary_folder(), robot
     if _is_xml(robot):
@@ -89,11 +89,12 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 def scenes_of_bag(
     bag: PacketFile, choose: str, source: str | None = None, wanted: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yields scenes of the robot in a recording of ROS, described there or included in sero-mj.
+    """Yields scenes of the robot in a ROS recording, from its description or of included robots.
 
     Args:
-        source: the source that must have the robot's joints (default: any).
-        wanted: names of the allowed robots; empty for any.
+        choose: option that chooses a scene, such as `--scene NAME`, for the error message.
+        source: source that must have the robot's joints (default: any source).
+        wanted: names of the allowed robots; empty for any robot.
 
     Raises:
         RecordingError: the recording has no source.
@@ -140,6 +141,6 @@ def _toml(name: str, table: Mapping[str, Any]) -> str:
 def _name_in(urdf: str) -> str:
     try:
         name = ElementTree.fromstring(urdf).get("name", "")
-    except ElementTree.ParseError:  # which opening it reports
+    except ElementTree.ParseError:  # opening the file reports this error
         name = ""
     return re.sub(r"^(?=[^A-Za-z_])|[^A-Za-z0-9_-]", "_", name) if name else "described"

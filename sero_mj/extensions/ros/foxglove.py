@@ -1,4 +1,4 @@
-"""`Foxglove`: ROS 2 topics from the WebSocket of foxglove_bridge, without DDS.
+"""Reads ROS 2 topics from the WebSocket of foxglove_bridge, without DDS.
 
 The server lists its topics in JSON. Each message of a subscribed topic consists of an opcode of
 1 byte, the subscription id (uint32), a time of 8 bytes, and the message in CDR, all little-endian.
@@ -39,11 +39,11 @@ SUBPROTOCOLS = ("foxglove.sdk.v1", "foxglove.websocket.v1")
 ENCODING = "cdr"
 _DATA = 1  # opcode of topic messages; the client does not request any others
 _HEAD = struct.Struct("<BIQ")
-_MAX_BYTES = 1 << 26  # of one WebSocket message; the list of topics contains all type definitions
+_MAX_BYTES = 1 << 26  # bytes of a WebSocket message, because lists of topics contain definitions
 _CHECK_INTERVAL = 1.0  # s between checks of the topics while no messages arrive
 _CLOSE_TIMEOUT = 0.2  # s; timeout of the peer's closing handshake
 _WARNING = 1  # lowest level of status messages that are shown
-_MAX_STATUS, _MAX_SHOWN = 200, 80  # characters of a status message, and of an unknown message
+_MAX_STATUS, _MAX_SHOWN = 200, 80  # characters shown of a status message or unknown message
 _MAX_TOPICS = 100_000
 
 
@@ -105,13 +105,13 @@ class _Status(BaseModel):
 
 
 class Client:
-    """Reads the topics of a source."""
+    """Reads the topics of a source from a Foxglove server."""
 
     def __init__(self, source: Foxglove, listener: Listener) -> None:
         self._source, self._listener = source, listener
         self._channels: dict[int, _Channel] = {}
         self._subscribed: dict[int, tuple[int, str]] = {}  # subscription id to channel and content
-        self._is_reconnecting = False  # no message since this connection, but some before
+        self._is_reconnecting = False  # there were messages, but none since the last connection
         self._number = 0  # id of the last subscription
         self._socket: socket.socket | None = None  # to end the connection from another thread
         self._connection: ClientConnection | None = None
@@ -126,11 +126,7 @@ class Client:
 
     def receive(self, wake: socket.socket) -> None:
         """Connects, and receives until the connection ends; raises Disconnected or Closing."""
-        from websockets.exceptions import (
-            ConnectionClosed,
-            InvalidMessage,
-            WebSocketException,
-        )
+        from websockets.exceptions import ConnectionClosed, InvalidMessage, WebSocketException
 
         url = self._source.url
         try:

@@ -22,7 +22,7 @@ from .messages import MalformedMessage
 
 JOINT_STATES, FORCES, COMMANDS, FRAMES = "joint states", "wrench", "commands", "transforms"
 ODOMETRY, POSE = "odometry", "pose"
-TF = "tf"  # instead of a topic: the values are computed from transforms
+TF = "tf"  # replaces the name of a topic if values are computed from transforms
 _MAX_LISTED = 8  # names in a message
 _PATIENCE = 2.0  # s; every publisher of joints should send a message within this time
 _IMPLAUSIBLE = 3.0  # efforts above this multiple of the torque limit are reported
@@ -30,7 +30,7 @@ _UNIT_TOLERANCE = 1e-2  # tolerance of a quaternion's norm
 
 
 class JoinedPackets:
-    """Joins the messages of one source to packets.
+    """Joins the ROS messages of one source to packets.
 
     Angles are in rad or m, torques in Nm or N. Values that no message has contained are NaN, except
     for angles, which keep the values that the robot declares.
@@ -39,10 +39,10 @@ class JoinedPackets:
         names: mapping from the robot's joint names to different names in messages.
         odometry: origin of the base pose: `ODOMETRY` for the odometry topic, `TF` for transforms,
             empty if there is no base pose.
-        joints_by: `TF` if angles are computed from transforms of links, otherwise empty.
+        joints_by: origin of the angles: `TF` for transforms of links, empty for joint states.
         links: links of the robot, for transforms and odometry; None if the robot is unknown.
         torque_constants: torque per unit of effort, a scalar or shape (n,).
-        report: called with each warning for the user.
+        report: function called with each warning for the user.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""Joint trajectories, interpolated like joint_trajectory_controller of ros2_control does."""
+"""Joint trajectories, interpolated as in joint_trajectory_controller of ros2_control."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ class JointTrajectory:
 
     If all points have accelerations, each joint follows quintic polynomials between points. If the
     points have only velocities, the polynomials are cubic, otherwise linear. Efforts are
-    interpolated linearly. After the last point, the joints hold it.
+    interpolated linearly. After the last point, the joints hold their positions.
 
     Args:
         names: joint names in the robot's order, which may differ from the order in the message.
-        now: current time on the clock of the message stamp, s. A stamp of 0 means `now`. Points
-            before `now` are skipped.
+        now: current time in seconds on the clock of the message stamp. A stamp of 0 means `now`.
+            Points before `now` are skipped.
         entry: joint angles and velocities at `now`, shape (2, n).
 
     Raises:
@@ -66,7 +66,7 @@ class JointTrajectory:
         self._segments = _segments(self._times, np.array(derivatives))
 
     def at(self, time: float) -> tuple[Array, Array, Array]:
-        """Returns joint angles, velocities and efforts at a time, shape (n,) each."""
+        """Returns joint angles, velocities and efforts at a time in seconds, shape (n,) each."""
         times = self._times
         k = int(np.searchsorted(times, time, side="right")) - 1
         if k >= len(times) - 1:

@@ -1,4 +1,4 @@
-"""`JsonMcap`: JSON messages of an MCAP file, with the interface of rosbags.
+"""Reads JSON messages of an MCAP file, with the interface of rosbags.
 
 Messages are recognized by their content as joint states in a format of `json_messages`, regardless
 of the name of their schema.
@@ -45,8 +45,8 @@ class JsonTopic:
     """A channel of JSON messages.
 
     Attributes:
-        msgtype: ROS type of its messages, or a description of other messages.
-        msgcount: number of its messages.
+        msgtype: ROS type of the messages, or their description if they have no ROS type.
+        msgcount: number of messages.
     """
 
     channel: int
@@ -56,11 +56,11 @@ class JsonTopic:
 
 
 class JsonMcap:
-    """Reads the messages, with the part of `rosbags.highlevel.AnyReader` that `Bag` uses.
+    """Reads JSON messages with the part of `rosbags.highlevel.AnyReader` that `Bag` uses.
 
     Attributes:
-        start_time: log time of the first message, ns since the epoch.
-        end_time: log time after the last message, ns since the epoch.
+        start_time: log time of the first message in ns since the epoch.
+        end_time: log time after the last message in ns since the epoch.
 
     Raises:
         OSError: the file cannot be read.
@@ -96,7 +96,6 @@ class JsonMcap:
         return found
 
     def close(self) -> None:
-        """Closes the file; does nothing if it is closed."""
         if self.stack is not None:
             self.stack.close()
         self.stack = None
@@ -104,12 +103,13 @@ class JsonMcap:
     def messages(
         self, connections: Sequence[JsonTopic], start: int | None, stop: int | None
     ) -> Iterator[tuple[JsonTopic, int, bytes]]:
-        """Yields topic, log time (ns since the epoch) and data of messages, ordered by time.
+        """Yields the topic, log time and data of messages, ordered by time.
 
-        `start` is inclusive and `stop` exclusive, in ns since the epoch; None for no limit.
+        All times are in ns since the epoch. `start` is inclusive and `stop` is exclusive; None
+        stands for no limit.
         """
         first, end = start or 0, _LATEST_NS if stop is None else stop
-        # Chunks overlap: messages are held back until no later chunk can have earlier ones.
+        # Messages wait until no later chunk can have earlier messages, because chunks overlap.
         waiting: list[tuple[int, int, JsonTopic, bytes]] = []
         number = count()
         for chunk in sorted(self._index.chunks, key=lambda chunk: chunk.first):
@@ -126,7 +126,7 @@ class JsonMcap:
             yield topic, time, raw
 
     def deserialize(self, raw: bytes, kind: str) -> Any:
-        """Decodes a message. `kind` is a ROS type that occurs in `connections`."""
+        """Decodes a message, whose `kind` is a ROS type that occurs in `connections`."""
         return joint_state_of(raw) if kind == JOINT_STATE else SimpleNamespace(**json.loads(raw))
 
     def _of(self, channel: int) -> Iterator[tuple[int, bytes]]:
@@ -172,7 +172,7 @@ def _kind_of(raw: bytes, topic: str) -> str:
 
 
 def has_json(path: Path) -> bool:
-    """Whether a file is MCAP with JSON messages."""
+    """Returns whether a file is an MCAP file with JSON messages."""
     with suppress(OSError, RecordingError, *BROKEN), open_file(path) as file:
         channels = _index_of(file).channels.values()
         return any(channel.message_encoding == _JSON for channel in channels)

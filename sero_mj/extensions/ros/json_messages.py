@@ -1,12 +1,12 @@
 """Joint states in JSON, as published by robot hands, arms and their bridges.
 
-Two formats are supported. That of `sensor_msgs/JointState`, also in the envelope of rosbridge
+Two formats are supported. One is `sensor_msgs/JointState`, also in the envelope of rosbridge
 (`msg`):
 
     {"header": {"stamp": {"sec": 1, "nanosec": 0}}, "name": ["j1", "j2"],
      "position": [0.1, 0.2], "velocity": [], "effort": [1.5, -0.3]}
 
-And Foxglove's `foxglove.JointStates` (docs.foxglove.dev/docs/sdk/schemas/joint-states):
+The other is `foxglove.JointStates` (docs.foxglove.dev/docs/sdk/schemas/joint-states):
 
     {"timestamp": {"sec": 1, "nsec": 0},
      "joints": [{"name": "j1", "position": 0.1, "effort": 1.5}, ...]}
@@ -79,14 +79,14 @@ def joint_state_of(raw: bytes) -> Any:
 def message_of(
     names: Sequence[str], stamp: float, angles: Array, velocities: Array, efforts: Array
 ) -> bytes:
-    """Encodes a `sensor_msgs/JointState`.
+    """Encodes a `sensor_msgs/JointState` in JSON.
 
     Args:
-        stamp: time stamp, s; 0 if it is unknown.
-        angles: joint angles, shape (n,), rad or m. NaN becomes null, and a quantity that is NaN
+        stamp: time stamp in seconds; 0 if unknown.
+        angles: joint angles in rad or m, shape (n,). NaN becomes null, and a quantity that is NaN
             for all joints becomes an empty list.
-        velocities: joint velocities, shape (n,), rad/s or m/s.
-        efforts: efforts, shape (n,), in the unit that the receiver expects.
+        velocities: joint velocities in rad/s or m/s, shape (n,).
+        efforts: efforts in the unit that the receiver expects, shape (n,).
     """
     seconds = math.floor(stamp)
     message: dict[str, Any] = {

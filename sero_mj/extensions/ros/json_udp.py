@@ -1,4 +1,4 @@
-"""`JsonUdp`: joint states in JSON, one message per UDP packet."""
+"""Receives joint states in JSON, one message per UDP packet."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ from .ros_source import MAX_REJECTED_BYTES, Listener, RosSource
 class JsonUdp(UdpReceiver, RosSource):
     """Receives joint states in the formats of `json_messages` over UDP.
 
-    Joints are matched by name, as in ROS sources. Several devices can send to one port, each for a
-    part of the joints.
+    Joints are matched by name, as in ROS sources. Several devices can send to the same port, each
+    with a part of the joints.
     """
 
     name: str = "json"

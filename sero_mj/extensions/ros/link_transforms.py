@@ -1,4 +1,4 @@
-"""`LinkTransforms`: joint values and base pose, computed from the poses of links in `tf`.
+"""Computes joint values and the base pose of a robot from the poses of its links in `tf`.
 
 The transforms that robot_state_publisher publishes determine every joint value. The transform
 between the two links of a joint is T_p,i(q) = T_p,i(0) A R(q) A^-1. The z axis of A is the joint
@@ -39,7 +39,7 @@ class LinkTransforms:
         self._is_reported = False
 
     def take(self, parent: str, child: str, T_parent_child: Array) -> int | None:
-        """Stores a transform, shape (4, 4), m. Returns the body that it moves, or None."""
+        """Stores a transform (4, 4) in m. Returns the index of the body that it moves, or None."""
         above, T_above, _ = self._node(parent)
         below, _, T_back = self._node(child)
         if above == below:
@@ -68,9 +68,9 @@ class LinkTransforms:
         return bool(self._parents[below - 1] == above)
 
     def solve(self) -> Array:
-        """Returns the values of the independent joints, shape (k,), rad or m.
+        """Returns the values of the independent joints in rad or m, shape (k,).
 
-        For a joint without transforms, this is the last value.
+        A joint without transforms has its last value.
         """
         poses: dict[Hashable, tuple[Hashable, Array]] = {}
         known: list[int] = []
@@ -122,14 +122,14 @@ class LinkTransforms:
             )
 
     def base(self, root: str) -> Array | None:
-        """Returns T_root_base, shape (4, 4), m, or None while it is unknown.
+        """Returns T_root_base (4, 4) in m, or None while it is unknown.
 
         If no transform contains the base, its pose is computed from another link and the last joint
         values. An example is a robot whose base is the world and whose first joints move a
         platform.
 
         Args:
-            root: reference frame; if it is empty, the root of the transform tree.
+            root: name of the reference frame; empty for the root of the transform tree.
         """
         bodies = sorted(node for node in self._above if isinstance(node, int))
         body = next((each for each in bodies if not isinstance(self._above[each][0], int)), 0)
@@ -152,10 +152,10 @@ class LinkTransforms:
         return at, T
 
     def in_base(self, link: str, angles: Array | None) -> Array:
-        """Returns T_base_link, shape (4, 4), m, or the identity for an unknown link.
+        """Returns T_base_link (4, 4) in m, or the identity for an unknown link.
 
         Args:
-            angles: values of the independent joints, shape (k,), rad or m (default: the last
+            angles: values of the independent joints in rad or m, shape (k,) (default: the last
                 values).
         """
         node, T, _ = self._node(link)

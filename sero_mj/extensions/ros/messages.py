@@ -1,4 +1,4 @@
-"""ROS messages, decoded with `rosbags`, which defines all common types."""
+"""Decodes ROS messages with `rosbags`, which defines all common types."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ TEXT = "std_msgs/msg/String"
 CLOCK = "rosgraph_msgs/msg/Clock"
 TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 
-MAX_BYTES = 1 << 20  # of a message that moves a robot; robot descriptions may be longer
+MAX_BYTES = 1 << 20  # bytes of a message that moves a robot; robot descriptions may be longer
 
 
 class MalformedMessage(ValueError):
-    """A message that cannot be decoded, or is inconsistent."""
+    """Raised for a ROS message that cannot be decoded or is inconsistent."""
 
 
 @cache

@@ -31,7 +31,7 @@ _LARGE = ("Image", "CompressedImage", "PointCloud", "PointCloud2", "OccupancyGri
 
 @dataclass(frozen=True)
 class Address:
-    """Address of a robot, `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE`; all parts are optional.
+    """Address `ros2://HOST:DOMAIN/NAMESPACE?FIELD=VALUE` of a robot. All parts are optional.
 
     Attributes:
         host: location of the publishers, see `Ros2`.
@@ -50,7 +50,7 @@ class Address:
 
     @classmethod
     def parse(cls, text: str) -> Address:
-        """Returns the address in a text; raises UsageError."""
+        """Parses an address; raises UsageError."""
         expected = f"{SCHEME}HOST:DOMAIN/NAMESPACE, for example {SCHEME}subnet:42"
         try:
             parts = urlsplit(text)
@@ -74,7 +74,7 @@ class Address:
             try:
                 fields["torque_constants"] = [float(each) for each in fields["torque_constants"]]
             except ValueError:
-                found, expected = query["torque_constants"], "numbers, Nm/A"
+                found, expected = query["torque_constants"], "numbers in Nm/A"
                 problem = Problem(f"{text}: torque_constants", found=found, expected=expected)
                 raise UsageError(problem) from None
         if fields.get("torque_sign") in _SIGNS:
@@ -93,13 +93,13 @@ class Address:
 
 @dataclass
 class Topic:
-    """A published topic.
+    """A published ROS 2 topic.
 
     Attributes:
         kind: message type, for example `sensor_msgs/msg/JointState`.
         publishers: number of publishers.
-        rate: messages per second, or None if it was not measured.
-        joints: joint names in its messages of type `sensor_msgs/JointState`.
+        rate: number of messages per second, or None if it was not measured.
+        joints: joint names in messages of type `sensor_msgs/JointState`.
     """
 
     name: str
@@ -115,7 +115,7 @@ class Topic:
 
 
 def list_topics(host: str, domain: int | None, seconds: float) -> list[Topic]:
-    """Listens to a network, and returns its topics, sorted by name; raises SourceError."""
+    """Listens to a ROS 2 network, and returns its topics sorted by name; raises SourceError."""
     participant = Participant(host, domain, "ros2")
     try:
         times: dict[str, list[float]] = defaultdict(list)
@@ -159,7 +159,7 @@ def _is_light(kind: str) -> bool:
 
 @dataclass(frozen=True)
 class Found:
-    """A robot in a network.
+    """A robot that was found in a ROS 2 network.
 
     Attributes:
         urdf: URDF of the robot, or empty if it is not published.
@@ -173,11 +173,11 @@ class Found:
 
 
 def find_robot(address: Address, seconds: float) -> Found:
-    """Returns the robot in a network.
+    """Finds a robot in a ROS 2 network.
 
     Args:
         address: address of the robot.
-        seconds: maximum time to wait for the robot, s.
+        seconds: maximum time in seconds to wait for the robot.
 
     Raises:
         SourceError: a package is missing, or the domain cannot be joined.
@@ -199,8 +199,8 @@ class _RobotSearch:
         self._participant, self._address = participant, address
         self._before = f"/{address.namespace}" if address.namespace else ""
         self._readers: dict[str, tuple[str, Reader]] = {}
-        self._described: dict[str, str] = {}  # topic to URDF
-        self._joints: dict[str, list[str]] = {}  # topic to joint names
+        self._described: dict[str, str] = {}  # URDF by topic
+        self._joints: dict[str, list[str]] = {}  # joint names by topic
 
     @property
     def is_enough(self) -> bool:

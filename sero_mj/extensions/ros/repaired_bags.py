@@ -1,8 +1,8 @@
 """Lets rosbags read bags that were not closed.
 
-`RepairedMcap` presents an MCAP file without its end as a complete file: after the last complete
-record, it appends an index of the complete chunks. `with_log` merges the log next to an SQLite
-database into a copy of the database.
+`RepairedMcap` presents an MCAP file without its end as a complete file. It appends an index of the
+complete chunks after the last complete record. `with_log` merges the log next to an SQLite database
+into a copy of the database.
 """
 
 from __future__ import annotations
@@ -34,14 +34,14 @@ from ...data.record.mcap_reader import (
     walk_records,
 )
 
-_CACHED = 8  # files; each one is opened several times before it is shown
+_CACHED = 8  # files, because each file is opened several times before it is shown
 _LOGS = ("-wal", "-journal")  # appended to the name of the database
 _NUMBER = 2  # bytes of the number at the start of schemas, channels and messages
 _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages in a chunk
 
 
 class RepairedMcap:
-    """A path object (`RPath` of rosbags); raises OSError if the file cannot be read."""
+    """A repaired MCAP file with the interface of a path (`RPath` of rosbags); raises OSError."""
 
     def __init__(self, path: Path) -> None:
         self._path, self.suffix, self.stem = path, ".mcap", path.stem
@@ -104,10 +104,10 @@ class _CompletePart:
     end: int = len(MCAP0_MAGIC)
     appended: bytes = b""
     faults: list[str] = field(default_factory=list)
-    schemas: dict[bytes, bytes] = field(default_factory=dict)  # number to record
+    schemas: dict[bytes, bytes] = field(default_factory=dict)  # records by number
     channels: dict[bytes, bytes] = field(default_factory=dict)
     chunks: list[ChunkIndex] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)  # of messages in chunks, by channel
+    counts: dict[int, int] = field(default_factory=dict)  # numbers of messages by channel
 
     def note(self, opcode: int, record: bytes) -> None:
         kept = {Opcode.SCHEMA: self.schemas, Opcode.CHANNEL: self.channels}.get(Opcode(opcode))
@@ -199,7 +199,7 @@ def _complete_part(path: Path, size: int, changed: int) -> _CompletePart:
 
 
 def log_of(file: Path) -> Path | None:
-    """Returns the log file that has messages missing in the database, or None."""
+    """Returns the log file with messages that are missing in the database, or None."""
     for log in (file.with_name(f"{file.name}{ending}") for ending in _LOGS):
         if log.is_file() and log.stat().st_size:
             return log

@@ -1,4 +1,4 @@
-"""`kind = "ros2"`: a ROS 2 node commands the simulated robot through the topics of ros2_control.
+"""Controller kind `ros2`, with which a ROS 2 node commands a robot via topics of ros2_control.
 
 The simulation publishes `sensor_msgs/JointState` and `/clock`. It receives commands as
 `std_msgs/Float64MultiArray`, like the forward controllers, or trajectories as
@@ -53,7 +53,7 @@ class Ros2Node(Answering):
             as ROS 2 does, or the address of a machine.
         domain: ROS_DOMAIN_ID of the node (default: ROS_DOMAIN_ID of the environment, or 0).
         namespace: prefix of topics that do not begin with `/`.
-        joint_states: topic to which the joint state is published.
+        joint_states: topic on which the joint state is published.
         commands: topic of `std_msgs/Float64MultiArray` with one number per joint, or of
             `trajectory_msgs/JointTrajectory` (default: the topic of the ros2_control controller for
             the interface, for example `forward_effort_controller/commands`).
@@ -62,10 +62,10 @@ class Ros2Node(Answering):
             joint impedance controller, or `trajectory` for target trajectories of this controller.
             A trajectory begins at the current target of the previous one, or at the robot's
             position. In lockstep, only the first trajectory is waited for.
-        stiffness: stiffness of the joint impedance controller, Nm/rad, one for all joints or one
-            for each.
-        damping: damping of the joint impedance controller, Nm s/rad, one for all joints or one for
-            each.
+        stiffness: stiffness of the joint impedance controller in Nm/rad, as one value for all
+            joints or one value per joint.
+        damping: damping of the joint impedance controller in Nm s/rad, as one value for all joints
+            or one value per joint.
         publishes_clock: whether `/clock` is published, for nodes with use_sim_time.
     """
 
@@ -127,7 +127,7 @@ class JointStatePacket:
     """Encodes the state of a robot as `sensor_msgs/JointState`.
 
     Attributes:
-        time: simulation time of the state, s.
+        time: simulation time of the state in seconds.
     """
 
     modulus = modulus_of(None)
@@ -150,7 +150,7 @@ class JointStatePacket:
 
 
 class RosLink(Link):
-    """Exchanges topics with a node. If a command is declared, `open` starts it."""
+    """Exchanges messages with a ROS 2 node. If a command is declared, `open` starts it."""
 
     commands: ClassVar[str] = messages.NUMBERS  # type of the command messages
 
@@ -266,14 +266,14 @@ class RosLink(Link):
 
 
 class TrajectoryLink(RosLink):
-    """Exchanges topics with a node that commands trajectories.
+    """Exchanges messages with a ROS 2 node that commands trajectories.
 
     In each step, the current trajectory provides the target angles and feed-forward torques. The
     torques contain damping times target velocity, so that the impedance controller damps the
     velocity error instead of the velocity.
 
     Args:
-        damping: damping of the joint impedance controller, shape (n,), Nm s/rad.
+        damping: damping of the joint impedance controller in Nm s/rad, shape (n,).
     """
 
     commands: ClassVar[str] = messages.TRAJECTORY

@@ -1,4 +1,4 @@
-"""`RosSource`: base class of sources whose packets are joined from ROS messages."""
+"""Base class of sources whose packets are joined from ROS messages."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ TYPES = {
     ODOMETRY: messages.ODOMETRY,
     POSE: messages.POSE,
 }
-MAX_REJECTED_BYTES = 2048  # of a malformed message in recordings
+MAX_REJECTED_BYTES = 2048  # bytes of a malformed message that are recorded
 NO_MESSAGES = "the publisher is not sending messages"
 _MAX_NAMED = 5  # topics in a message
 
 
 class RosSource(Source):
-    """Packets joined from topics of ROS 2.
+    """Base class of sources whose packets are joined from ROS 2 topics.
 
     Events are `stamp` and, for n joints, `joint_angles`, `joint_velocities` and `torques`. Values
     that no message contains are NaN, except for angles, which keep the values that the robot
@@ -69,7 +69,7 @@ class RosSource(Source):
             pose is relative to the root of the transform tree.
         namespace: prefix of topics that do not begin with `/`.
         effort_unit: unit of efforts: `Nm`, or `A` together with `torque_constants`.
-        torque_constants: torque per ampere, Nm/A, one for all joints or one for each.
+        torque_constants: torque per ampere in Nm/A, as one value for all joints or one per joint.
         torque_sign: factor of efforts: 1, or -1 for drivers that publish the torque that the load
             exerts on the drive.
     """
@@ -120,7 +120,7 @@ class RosSource(Source):
             raise Problem("", f"found {twice[0]} twice", expected="each joint once").error()
         return joints
 
-    @field_validator("frames", check_fields=False)  # messages of JSON have none
+    @field_validator("frames", check_fields=False)  # JSON messages have no frames
     @classmethod
     def _frames_differ(cls, frames: list[str]) -> list[str]:
         events = [event_of_frame(name) for name in frames]
@@ -135,9 +135,9 @@ class RosSource(Source):
         has_constants = self.torque_constants is not None
         if has_constants != (self.effort_unit == "A"):
             reason = (
-                "required, because effort_unit is A"
+                "is required, because effort_unit is A"
                 if self.effort_unit == "A"
-                else "not allowed, because effort_unit is Nm"
+                else "is not allowed, because effort_unit is Nm"
             )
             raise Problem("torque_constants", reason).error()
         if not (self.joint_states or self.wrench or self.frames or self.odometry or self.pose):
@@ -161,7 +161,7 @@ class RosSource(Source):
 
     @property
     def joint_names(self) -> list[str]:
-        """Joint names in messages, in the order of the values of an event."""
+        """Joint names in messages, in the order of the values in packets."""
         if isinstance(self.joints, list) and self.joints:
             return self.joints
         names = self.joints if isinstance(self.joints, dict) else {}
@@ -171,7 +171,7 @@ class RosSource(Source):
         """Returns an object that joins the messages of this source to packets.
 
         Args:
-            report: called with each warning for the user (default: `log_once`).
+            report: function called with each warning for the user (default: `log_once`).
         """
         led = self._led
         if isinstance(self.joints, list) and self.joints:
@@ -210,7 +210,7 @@ class RosSource(Source):
 
     @property
     def topics(self) -> list[tuple[str, str]]:
-        """Full names of the topics to read, and the content of each topic."""
+        """Full name and content of each topic to read."""
         declared = {
             JOINT_STATES: self.joint_states,
             ODOMETRY: self.odometry,
@@ -238,7 +238,7 @@ class RosSource(Source):
         return f"/{before}/{topic}" if before else f"/{topic}"
 
     def is_default(self, field: str) -> bool:
-        """Whether a field has its default value."""
+        """Returns whether a field has its default value."""
         return bool(getattr(self, field) == type(self).model_fields[field].default)
 
     def with_fields(self, **fields: Any) -> RosSource:
@@ -257,7 +257,7 @@ class RosSource(Source):
         return "" if self.receiving else self._trouble
 
     def open(self) -> None:
-        """Starts to receive. The publishers may start later. Raises SourceError."""
+        """Starts receiving messages. Publishers may start later. Raises SourceError."""
         self.close()
         if self.joint_states and not self.joint_names:
             problem = Problem("joints", "no route to a robot", expected="the joint names")
@@ -276,7 +276,7 @@ class RosSource(Source):
 class Listener:
     """Decodes messages of a source, and passes the joined packets to `source.accept`.
 
-    Only one thread may use it.
+    Only one thread may use a listener.
     """
 
     def __init__(self, source: RosSource) -> None:
@@ -327,10 +327,10 @@ def topic_problem(topic: str, kind: str, published: Iterable[tuple[str, str]]) -
 
 
 def is_tf(topic: str) -> bool:
-    """Whether a topic is `tf`."""
+    """Returns whether the name of a topic is `tf`, which stands for transforms."""
     return topic.lstrip("/") == TF
 
 
 def ros_type(name: str) -> str:
-    """Returns the ROS name of a type from the DDS name."""
+    """Converts the DDS name of a message type to its ROS name."""
     return name.replace("::dds_::", "::").replace("::", "/").removesuffix("_")

@@ -1,4 +1,4 @@
-"""Robots and topics of ROS 2 networks, for commands of the core."""
+"""Lists the topics and robots of ROS 2 networks for commands."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["print_topics", "scene_of_network"]
 
 
 def print_topics(text: str, duration: float, *, as_json: bool) -> int:
-    """Prints the topics, their rates, and the robots that they could move.
+    """Prints the topics of a ROS 2 network, their rates, and the robots that they can move.
 
     Returns exit status 1 if nothing is published.
 
     Args:
         text: address of the network, `ros2://HOST:DOMAIN`.
-        duration: time to listen, s.
+        duration: time in seconds to listen.
     """
     address = Address.parse(text)
     topics = list_topics(address.host, address.domain, duration)

@@ -1,4 +1,4 @@
-"""`Zenoh`: ROS 2 topics from a zenoh router, as published by rmw_zenoh.
+"""Reads ROS 2 topics from a zenoh router, as published by rmw_zenoh.
 
 rmw_zenoh publishes topic `/x` under the key `DOMAIN/x/TYPE/HASH`, where TYPE is the DDS name of the
 type and HASH is the hash of its definition. The liveliness token of each publisher has the key
@@ -75,7 +75,7 @@ class _Message(NamedTuple):
 
 
 class Session:
-    """Reads the topics of a source. Raises SourceError if zenoh is not installed."""
+    """Reads the topics of a source from zenoh. Raises SourceError if zenoh is not installed."""
 
     def __init__(self, source: Zenoh, listener: Listener) -> None:
         _zenoh(source.name)

@@ -1,8 +1,8 @@
-"""Smart axes: coordinate axes of the base, every joint, the flange and named frames (section 2.5).
+"""Smart axes: coordinate axes of robot bases, joints, flanges and named frames.
 
-The x axis is red, y is green and z is blue. If frames coincide, the bars of each additional frame
-are shorter and thicker. All frames thus stay visible and clickable in any orientation. A click
-shows the name of a frame.
+The x axis is red, the y axis is green and the z axis is blue. If frames coincide, the bars of each
+additional frame are shorter and thicker. All frames thus stay visible and clickable in any
+orientation. A click on the axes of a frame shows its name. Source: section 2.5 of the paper.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from .image_view import ImageView
 from .joint_titles import frame_titles
 from .panels import Panels, labels_below
 
-# Red, green, blue, in shades that also differ in lightness.
+# Red, green and blue in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
 _HALF_WIDTH_OF_LENGTH = 0.022
 _STALE_SHARE = 0.75  # fraction of gray in the color of a stale frame
@@ -43,7 +43,7 @@ ONTO_AXIS = np.array(
 
 
 class SmartAxes(Feature):
-    """Draws the coordinate axes of one world."""
+    """The visual feature that draws the coordinate axes of all frames of a world."""
 
     order = 80
 
@@ -59,8 +59,8 @@ def ranks(positions: Array) -> Array:
         positions: origins of the frames, shape (m, 3), m.
 
     Returns:
-        ranks, shape (m,), continuous in the positions. The first of several coinciding frames has
-        rank 0.
+        ranks, shape (m,), which vary continuously with the positions. The first of several
+        coinciding frames has rank 0.
     """
     squares = np.einsum("ij,ij->i", positions, positions)
     apart = squares[:, None] + squares - 2.0 * positions @ positions.T
@@ -78,10 +78,11 @@ def _earlier(m: int) -> Array:
 def draw_axes(
     buffer: GeomBuffer, world: WorldView, data: mujoco.MjData, shown: Bools, stale: Bools
 ) -> None:
-    """Draws three bars for every frame whose axes are shown.
+    """Draws the coordinate axes of the selected frames of a world as three bars each.
 
-    Bars are boxes with 12 triangles each. With arrow geoms of about a thousand triangles, axes
-    would be slower to render than the robot. Frames in the mask `stale`, shape (M,), are gray.
+    Bars are boxes with 12 triangles each. Arrow geoms have about a thousand triangles and would be
+    slower to render than the robot. Both masks, `shown` and `stale`, have shape (M,). The axes of
+    stale frames are gray.
     """
     table = world.frames
     index = (shown & (table.alpha > 0)).nonzero()[0]
@@ -109,15 +110,16 @@ def draw_bars(
     alpha: Array,
     items: NDArray[np.intp] | None = None,
 ) -> None:
-    """Draws the axes of k frames.
+    """Draws the coordinate axes of k frames as three bars each.
 
     Args:
         origins: origins of the frames, shape (k, 3), m.
         rotation: orientations of the frames, shape (k, 3, 3).
-        size: length and half width of the bars of each frame, shape (k,) each, m.
+        size: lengths and half widths of the bars, shape (k,) each, m.
         rgb: colors of the three bars, shape (3, 3) or (k, 3, 3).
-        alpha: opacity of the bars of each frame, shape (k,).
-        items: rows of the frames in `FrameTable`, shape (k,). If None, the axes cannot be clicked.
+        alpha: opacities of the axes, shape (k,).
+        items: indices of the frames in `FrameTable`, shape (k,). If None, users cannot click the
+            axes.
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
@@ -136,7 +138,7 @@ def draw_bars(
 
 
 class FrameNames(Feature):
-    """Shows the names of selected frames."""
+    """The visual feature that shows the names of selected frames."""
 
     order = 60
 
@@ -149,7 +151,7 @@ class FrameNames(Feature):
 def name_panels(
     world: WorldView, data: mujoco.MjData, named: Bools, view: ImageView
 ) -> Panels | None:
-    """Returns labels below the origins of the frames in a mask (M,), or None without labels."""
+    """Returns name labels of the frames in the mask `named`, or None if no label is visible."""
     shown = named.nonzero()[0]
     if not len(shown):
         return None

@@ -1,8 +1,9 @@
-"""Places billboards beside the robots, with leader lines to the items that they describe.
+"""Places billboards beside the robots, with leaders (lines) to the items that they describe.
 
-Each robot has its billboards on its own side of the image. A single robot, or the one in the
-middle, has billboards on both sides. Their heights follow the joints continuously. A billboard
-changes its place only if leaders would cross or a robot moves behind it.
+Robots on the left have billboards on the left side of the image, and robots on the right have them
+on the right. A single robot, or the one in the middle, has billboards on both sides. The heights of
+billboards follow the joints continuously. A billboard changes its place only if leaders would cross
+or a robot moves behind it.
 """
 
 from __future__ import annotations
@@ -26,45 +27,46 @@ from .panels import PANEL_RGBA, Panels, draw_leaders, panel_sizes
 
 _Key = tuple[Kind, int]
 
-_CLOSE = 0.03  # fraction of the image width that a robot moves before it is sorted again
-_MIN_GAIN = 0.01  # fraction of a line's height; smaller gains are noise
+_CLOSE = 0.03  # distance that a robot moves before it is sorted again, fraction of the image width
+_MIN_GAIN = 0.01  # minimum gain of a swap, fraction of the line height; smaller gains are noise
 FEWEST = 8  # minimum number of billboards, even if they need several columns
 # If a robot has more than 24 joints, only the 12 most loaded joints and clicked ones are shown.
 _MANY, _MAX_LOADED = 24, 12
-GAP = 0.3  # distance of billboards, fraction of a line's height
+GAP = 0.3  # distance between billboards, fraction of the line height
 # The billboards of a hand or finger are beside those of its arm if the hand or finger is smaller
 # than this fraction of the arm.
 SMALL = 0.5
-NO_SHARE = -1.0  # sorted after any known share
+NO_SHARE = -1.0  # value of unknown shares, which is smaller than any known share
 # A billboard replaces a shown one only if its share is larger by this factor plus this amount.
 _MORE = (1.25, 0.02)
-_NEW_ROOM = 0.5  # additional distance of robots from new billboards, fraction of a line's height
-_MARGIN = 0.5  # fraction of a line's height
-_LANE = 0.2  # distance of leaders beside a column, fraction of a line's height
+_NEW_ROOM = 0.5  # additional distance between robots and new billboards, fraction of line height
+_MARGIN = 0.5  # distance of the note from the image border, fraction of the line height
+_LANE = 0.2  # distance between leaders beside a column, fraction of the line height
 _OF_LIMB = 2  # number of joint billboards that a limb billboard counts as
-_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds with a share
-_LOADED = ": highest loads"  # end of the note, unless no load is known
+_LOADS = (Kind.BILLBOARD, Kind.LIMB)  # kinds of billboards that have a share
+_LOADED = ": highest loads"  # end of the note if the loads of all shown joints are known
 _ROUNDS = 8  # maximum iterations of placing and uncrossing; panels of several sizes need several
-# Dark on a light scene, light on a dark one.
+# Leaders are dark in a light scene and light in a dark scene.
 LEADER_RGBA = {"light": (0.09, 0.11, 0.14, 0.9), "dark": (0.62, 0.67, 0.73, 0.9)}
 
 
 @dataclass(frozen=True, eq=False)
 class BillboardGroup:
-    """Billboards of one kind, before layout.
+    """A set of k billboards of the same kind, to be placed by `BillboardLayout`.
 
     Attributes:
-        texts: lines of every billboard, top line first.
-        owners: index of each billboard's robot or double in `WorldView.owners`, shape (k,); -1 for
-            none.
-        side: `LEFT` or `RIGHT` for each billboard, shape (k,). Ignored if there are several robots,
-            whose positions determine the side.
-        rank: vertical order of the billboards, lowest first, shape (k,).
-        share: load of each billboard's joint as a fraction of the limit, shape (k,); `NO_SHARE` if
+        items: indices of the joints, arrows or robots that the billboards describe, shape (k,).
+        anchors: pixels at which the leaders of the billboards end, shape (k, 2).
+        texts: lines of each billboard, top line first.
+        owners: indices of the robots or doubles in `WorldView.owners`, shape (k,); -1 for none.
+        side: side of each billboard, `LEFT` or `RIGHT`, shape (k,). If there are several robots,
+            their positions determine the sides instead.
+        rank: position of each billboard in the vertical order, lowest first, shape (k,).
+        share: load of the described joint as a fraction of its limit, shape (k,); `NO_SHARE` if
             unknown. If there is no room for all billboards, those with the largest share are
             shown. Billboards with a share of inf are always shown.
-        clear: minimum horizontal distance of the columns from the anchors, pixels.
-        rgba: one color for all billboards, or one color each, shape (k, 4).
+        clear: minimum horizontal distance between the billboards and the anchors, pixels.
+        rgba: one color for all billboards, or one color for each, shape (k, 4).
     """
 
     kind: Kind
@@ -120,14 +122,14 @@ class _All:
 
 @dataclass
 class _Memory:
-    """State of the last frame, which prevents billboards from alternating between two places.
+    """The layout of the last frame, which prevents billboards from alternating between two places.
 
     Attributes:
-        order: robots from left to right.
+        order: indices of the robots from left to right.
         middles: horizontal positions by which the robots are sorted, pixels.
-        preferred: side of each billboard according to the robots' positions.
+        preferred: side of each billboard according to the positions of the robots.
         places: side and rank of each billboard.
-        chosen: shown billboards if there was no room for all billboards; otherwise empty.
+        chosen: billboards that were shown if there was no room for all; otherwise empty.
     """
 
     order: list[int] = field(default_factory=list)
@@ -154,11 +156,11 @@ class _Memory:
 
 @dataclass(frozen=True, eq=False)
 class _Placed:
-    """Positions of the shown billboards and of their leaders, shape (m, 2) each, pixels.
+    """The shown billboards with the positions of billboards and leaders, shape (m, 2), pixels.
 
     Attributes:
         note: list with a panel that states the number of shown billboards; empty if all are shown.
-        bends: points at which leaders bend; equal to `starts` for straight leaders.
+        bends: points at which the leaders bend. Straight leaders bend at their start.
     """
 
     billboards: _All
@@ -171,7 +173,7 @@ class _Placed:
 
 @dataclass(frozen=True, eq=False)
 class _Covered:
-    """Pixels of points on robots (m, 2), robots of these points (m,), covered rectangles (m, 4)."""
+    """Pixels (m, 2) of points on robots, with robot (m,) and covered rectangle (m, 4) of each."""
 
     pixels: Array
     robots: Ints
@@ -179,14 +181,15 @@ class _Covered:
 
 
 class BillboardLayout:
-    """Places the billboards of a world.
+    """The algorithm that places the billboards of a world, with the layout of the last frame.
 
     The side of a billboard and its position in the vertical order do not change until leaders
     cross. Then two billboards swap positions. The layout is reused until one of its inputs changes.
     This saves 6 of 8 ms for a 1280x800 frame of an LWR, and 8 of 24 ms for Justin.
 
     Args:
-        owner_group: result of `owner_groups`.
+        owner_group: index of the robot beside which the billboards of each owner are placed, as
+            returned by `owner_groups`.
     """
 
     def __init__(self, owner_group: Ints) -> None:
@@ -212,12 +215,14 @@ class BillboardLayout:
         corner states the number of shown billboards.
 
         Args:
-            radii: radius of the robot around every point, shape (m,), m.
-            owners: index of the robot or double of every point, shape (m,).
-            corners: panels in the corners of the image that billboards must not cover.
+            points: points on robots and doubles, which billboards avoid, shape (m, 3), m.
+            radii: radius of the robot around each point, shape (m,), m.
+            owners: index of the robot or double that each point is on, shape (m,).
+            corners: panels in the corners of the image, which billboards must not cover.
 
         Returns:
-            the shown billboards, their panels, and a list with the note, or an empty list.
+            the shown billboards, their panels, and a list with the note, which is empty if all
+            billboards are shown.
         """
         groups = [group for group in groups if group.texts]
         if not groups:
@@ -336,9 +341,10 @@ class BillboardLayout:
     def _choose(
         self, view: ImageView, every: _All, covered: Array, corners: list[Panels], order: Ints
     ) -> tuple[Bools, list[Panels]]:
-        """Returns the mask (k,) of shown billboards, and a note if some are not shown.
+        """Selects the billboards to show and moves billboards from a full side to the other side.
 
-        If one side has no room, billboards may move to the other side.
+        Returns:
+            mask (k,) of the shown billboards, and a list with the note if some are not shown.
         """
         memory, total = self._memory, len(every.keys)
         limit, nothing = _max_count(every, view), np.zeros((0, 4))
@@ -364,14 +370,14 @@ class BillboardLayout:
                 return show(count, sides), []
         note = _note(view, total, corners)
         corners = [*corners, note]
-        # A few are shown even in front of robots, but never in front of each other.
+        # A few billboards are shown even in front of robots, but never in front of each other.
         fewest = fit(nothing, corners, min(few, limit))[0]
         required = max(min(fewest, max(few, int(every.is_clicked.sum())), limit), 1)
         apart = _NEW_ROOM * view.font.height * np.array([-1, -1, 1, 1])
         count, sides = fit(covered + apart, corners, required)
         if count == total:
             return show(count, sides), []
-        if count < len(memory.chosen):  # show as many as in the last frame if they still fit
+        if count < len(memory.chosen):  # as many as in the last frame are shown if they still fit
             count, sides = fit(covered, corners, required)
             count = min(count, len(memory.chosen))
         if count < required:
@@ -407,10 +413,10 @@ class BillboardLayout:
 
 
 def owner_groups(world: WorldView) -> Ints:
-    """Returns the index of the robot beside which the billboards of each joint owner are placed.
+    """Returns the index of the robot beside which each owner of joints has its billboards.
 
-    Billboards of a double are placed beside the robot that it duplicates, and those of a hand
-    beside the arm that carries it.
+    Billboards of a double are placed beside the robot that it duplicates. Billboards of a hand are
+    placed beside the arm that carries it.
     """
     names, robots = list(world.owners), world.scene.robots
 
@@ -481,7 +487,7 @@ def _starts(centres: Array, sizes: Array, anchors: Array, side: Ints) -> Array:
 
 
 def move_below(right: Panels, left: Panels) -> Panels:
-    """Returns the upper left corner's panels, moved below the right corner's if they overlap."""
+    """Returns the upper left panels, moved below the upper right panels if they overlap."""
     low, _ = bounds(right)
     _, high = bounds(left)
     down = high[1] - low[1]
@@ -491,16 +497,16 @@ def move_below(right: Panels, left: Panels) -> Panels:
 
 
 def bounds(panels: Panels) -> tuple[Array, Array]:
-    """Returns the lower left and the upper right pixel of the panels in a corner."""
+    """Returns the lower left and the upper right pixel of the bounding box of panels."""
     half = panels.sizes / 2
     return (panels.centres - half).min(axis=0), (panels.centres + half).max(axis=0)
 
 
 def heights_in_order(heights: Array) -> Ints:
-    """Returns the rank of every height, shape (k,), with 0 for the lowest.
+    """Returns the ranks of the heights, shape (k,), with 0 for the lowest.
 
-    Call this once for the declared pose. With ranks of the current heights, billboards would swap
-    places during motion.
+    Call this once with the heights in the declared pose. If the ranks followed the current heights,
+    billboards would swap places during motion.
     """
     order = np.argsort(heights, kind="stable")
     rank = np.empty(len(order), np.intp)

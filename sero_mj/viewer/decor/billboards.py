@@ -1,4 +1,4 @@
-"""Billboards: panels that face the camera, with the values of every joint.
+"""Billboards: panels that face the camera and show the values of each joint.
 
 Source: section 2.1 of Hulin, Hertkorn, Preusche: Interactive Features for Robot Viewers.
 """
@@ -31,7 +31,7 @@ from .toggles import Toggles
 
 NO_DATA = b"no data"
 NO_LIMIT = b"none"
-# Labels of lines on billboards with several lines.
+# Labels of the values on billboards with several lines.
 _LABELS = {
     "torques": "msr",
     "commanded_torques": "cmd",
@@ -40,19 +40,21 @@ _LABELS = {
     "joint_angles": "pos",
     "billboard_values": "val",
 }
-_CLOSE = 0.01  # distance from the robot's middle at which a limb changes sides, fraction of width
-_PLAIN_BELOW = 1e6  # larger values are written with an exponent
-# Default unit and decimals of a value, for revolute and for prismatic joints.
+# Distance of a limb from the middle of its robot at which its billboards change sides, fraction of
+# the image width.
+_CLOSE = 0.01
+_PLAIN_BELOW = 1e6  # value from which numbers are written with an exponent
+# Default unit and number of decimals of each value, for revolute and for prismatic joints.
 _UNITS = {
     "joint_accelerations": (("rad/s2", 2), ("m/s2", 2)),
     "joint_angles": (("rad", 3), ("m", 4)),
     "torque_share": (("%", 1), ("%", 1)),
 }
-# Default decimals of torques, whose unit is the robot's.
+# Default number of decimals of torques. Their unit is declared by the robot.
 _TORQUES = {"torques": 1, "commanded_torques": 1, "torque_error": 2, "torque_limit": 1}
-# Decimals of torques resolve this fraction of the torque at full arrow width.
+# Torques have enough decimals to resolve this fraction of the torque at full arrow width.
 _RESOLUTION, _MAX_DECIMALS, _ROUNDING = 0.01, 4, 1e-9
-_OWN_UNIT = (("", 2), ("", 2))  # for `billboard_values` and a robot's own inputs
+_OWN_UNIT = (("", 2), ("", 2))  # format of `billboard_values` and of inputs that a robot declares
 # Values and labels that a click on an arrow shows (section 2.2).
 _DETAILS = {
     "commanded_torques": "cmd",
@@ -64,12 +66,12 @@ _DETAILS = {
 
 _LARGEST = "largest seen"  # label if the largest torque so far replaces the limit
 _STALE_RGBA = (0.21, 0.21, 0.21, 0.78)
-_FILLED = 0.55  # fraction of both sides that is filled before limbs are collapsed
-_TINT = 0.30  # fraction of the double's color in the color of its panels
+_FILLED = 0.55  # fraction of both sides that billboards may fill before limbs are collapsed
+_TINT = 0.30  # fraction of the color of a double in the color of its billboards
 
 
 class Billboards(Feature):
-    """Shows the billboards of one world."""
+    """The visual feature that shows the billboards of the joints of a world."""
 
     order = 10
 
@@ -111,11 +113,11 @@ class Billboards(Feature):
         return self._formats[longest]
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds the billboards of joints in the image.
+        """Adds the billboards of the joints that are in the image.
 
-        If there are too many, a limb gets one billboard for all of its joints that were not
-        clicked. `BillboardLayout` then selects the billboards of clicked joints and of the joints
-        with the largest load.
+        If there are too many billboards, one billboard replaces those of a whole limb, except for
+        joints that were clicked. `BillboardLayout` then selects the billboards of clicked joints
+        and of the joints with the largest loads.
         """
         group = self._of_joints(frame)
         if group is None:
@@ -291,14 +293,14 @@ class _LimbNames(NamedTuple):
 
 @dataclass(frozen=True)
 class Formats:
-    """Formats of the lines on every joint's billboard.
+    """Alternative line formats for the billboards of all joints. Each list has one entry per joint.
 
     Attributes:
-        declared: declared lines, or lines for the inputs of the robot.
+        declared: declared lines, or lines that show the inputs of the robot.
         torques: lines that are used if torques are received but not declared.
         modelled: lines that are used if the torques are computed from the model.
         errors: lines that are used if arrows show torque errors.
-        details: lines that a click on the arrow shows.
+        details: lines that are shown after a click on an arrow.
     """
 
     declared: list[list[LineFormat]]
@@ -309,7 +311,7 @@ class Formats:
 
 
 def joint_titles(world: WorldView, longest: int) -> list[str]:
-    """Returns the billboard titles of all joints, with names of at most `longest` characters."""
+    """Returns the billboard title of each joint, with names of at most `longest` characters."""
     parts = list(world.owners.values())
     # Joint names alone are ambiguous if there are several robots.
     is_ambiguous = [len(world.robots) > 1 or isinstance(part, DoublePart) for part in parts]
@@ -322,7 +324,7 @@ def joint_titles(world: WorldView, longest: int) -> list[str]:
 
 
 def joint_formats(world: WorldView, longest: int = LONGEST) -> Formats:
-    """Returns the lines of all joints, with names of at most `longest` characters."""
+    """Returns the billboard formats of all joints, with names of at most `longest` characters."""
     joints, names = world.joints, joint_titles(world, longest)
     declared = [declared_lines(part, world.scene) for part in world.owners.values()]
     full = np.where(np.isfinite(joints.torque_limit), joints.torque_limit, joints.arrow_load)
@@ -375,7 +377,7 @@ def _declared_heights(world: WorldView) -> Array:
 
 @dataclass(frozen=True)
 class LineFormat:
-    """The format of one line of a joint's billboard."""
+    """The format of one line of a billboard: its text before the number, and the number format."""
 
     head: str
     form: str
@@ -396,20 +398,20 @@ class LineFormat:
 
 
 def has_chosen_lines(part: Owner) -> bool:
-    """Returns whether billboard lines are declared, and not derived from the received inputs."""
+    """Returns whether a robot or double declares billboard lines instead of using the defaults."""
     return part.declared.billboard_lines is not None or part.billboard_lines is not None
 
 
 def shows_errors(toggles: Toggles) -> Bools:
-    """Returns a mask (N,) of the joints whose visible arrows show torque errors."""
+    """Returns a mask of the joints whose visible arrows show torque errors, shape (N,)."""
     shown = toggles.arrow_quantity == ARROW_QUANTITIES.index("torque_error")
     return np.asarray(toggles.arrows & shown)
 
 
 def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
-    """Returns the declared lines of billboards, or lines for the inputs routed to the owner.
+    """Returns the billboard lines of a robot or double: declared lines, or lines for its inputs.
 
-    A double has those lines of its robot for which the double has values.
+    A double without declared lines has those lines of its robot for which it has values.
     """
     declared = part.declared
 
@@ -434,10 +436,11 @@ def declared_lines(part: Owner, scene: Scene) -> list[BillboardLine]:
 def billboard_lines(
     joint: str, declared: list[BillboardLine], prismatic: bool, torque: TorqueUnit, full: float
 ) -> list[LineFormat]:
-    """Returns the line formats of one joint's billboard.
+    """Returns the formats of the declared lines on the billboard of a joint.
 
     Args:
-        full: torque at full arrow width, Nm or N; inf if unknown. Determines the number of
+        joint: title of the joint.
+        full: torque at full arrow width, Nm or N; inf if unknown. It determines the number of
             decimals.
     """
     several = len(declared) > 1
@@ -453,10 +456,11 @@ def billboard_lines(
 def detail_lines(
     joint: str, prismatic: bool, torque: TorqueUnit, full: float, *, is_largest: bool = False
 ) -> list[LineFormat]:
-    """Returns the line formats of all values of one joint's arrow, see `billboard_lines`.
+    """Returns the formats of the lines that a click on the arrow of a joint shows.
 
     Args:
-        is_largest: whether the largest torque so far replaces the limit. Changes the label.
+        full: torque at full arrow width, Nm or N; inf if unknown.
+        is_largest: whether the limit is the largest torque so far, which changes its label.
     """
     labels = {**_DETAILS, "torque_limit": _LARGEST} if is_largest else _DETAILS
     return [

@@ -1,4 +1,4 @@
-"""`Decor`: all features of a world, as a function of data, toggles and view."""
+"""`Decor`: draws all visual features of a world for given data, toggles and view."""
 
 from __future__ import annotations
 
@@ -24,17 +24,16 @@ from .toggles import Toggles
 
 log = logging.getLogger(__name__)
 
-_BESIDE = 0.6  # distance of the label from the pointer, fraction of a line's height
-# Candidates for the label: lower right, where pointers do not cover it, then above, then left.
+_BESIDE = 0.6  # distance of the label from the pointer, fraction of the line height
+# Candidate positions of the label: first the lower right, where pointers do not cover it.
 _CORNERS = np.array([[1.0, -1.0], [1.0, 1.0], [-1.0, -1.0], [-1.0, 1.0]])
-# Fraction of white in panels. Without it, panels would be invisible in front of the dark look's
-# floor.
+# Fraction of white in panels. Without it, panels would be invisible in front of the dark floor.
 _LIGHTER = {"light": 0.0, "dark": 0.14}
 _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 
 
 class Decor:
-    """Draws all features of a world, with at most `arrow_geoms` geoms for each round arrow."""
+    """All visual features of a world, and the buffer into which they draw each frame."""
 
     def __init__(
         self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
@@ -49,7 +48,7 @@ class Decor:
         self._outline = Outline(world)
 
     def draw(self, data: mujoco.MjData, toggles: Toggles, view: ImageView) -> GeomBuffer:
-        """Lays out one frame and returns the buffer with its geoms."""
+        """Draws all features of one frame and returns the buffer with its geoms."""
         buffer, world = self.buffer, self._world
         of_model, data = data, world.state(data)
         buffer.clear()
@@ -88,7 +87,7 @@ class Decor:
         notes = self._staleness.panels(buffer, data, view, stale)
         panels = [*frame.corners, *billboards]
         panels += clear_of([*frame.panels, *notes], panels, view)
-        # Text comes first: if the capacity is exceeded, arrows are dropped instead.
+        # Text is added before arrows, so that arrows are dropped if the capacity is exceeded.
         panels += _hover_panel(toggles, view, panels)
         self.panels = draw_panels(buffer, view, panels, _LIGHTER[look])
         self._each("draw", frame)
@@ -132,14 +131,14 @@ def _hover_panel(toggles: Toggles, view: ImageView, others: list[Panels]) -> lis
     for panels in others:
         overlap = (sizes[0] + panels.sizes) / 2 - np.abs(centres[:, None] - panels.centres)
         covered += np.maximum(overlap, 0.0).prod(axis=2).sum(axis=1)
-    best = covered.argmin()  # ties go to the first candidate
+    best = covered.argmin()  # the first candidate if several are equal
     return [Panels(centres[best : best + 1], sizes[:1], lines, _HOVER_RGBA, in_front=True)]
 
 
 class Outline:
-    """Points along the links of all robots and doubles.
+    """The approximate shape of all robots and doubles, which billboards avoid.
 
-    Every geom is approximated by a capsule along its longest side, with points at both ends and in
+    Each geom is approximated by a capsule along its longest side, with points at both ends and in
     the middle.
     """
 
@@ -165,16 +164,19 @@ class Outline:
         sites: Array,
         arrows: Bools,
     ) -> tuple[Array, Array, Ints]:
-        """Returns points (m, 3), radii (m,), both in m, and indices of robots or doubles (m,).
+        """Returns points on robots and doubles, with the radius and the owner of each point.
 
         Args:
-            hidden: mask (ngeom,) of geoms that are not shown; None if all are shown.
-            sites: positions of the world's sites, `site_xpos`, m.
-            arrows: mask (N,) of joints whose arrows are part of the outline.
+            hidden: mask of the geoms that are not shown, shape (ngeom,); None if all are shown.
+            sites: positions of all sites, `site_xpos`, m.
+            arrows: mask of the joints whose arrows are part of the outline, shape (N,).
+
+        Returns:
+            points, shape (m, 3), m; radii, shape (m,), m; indices of robots or doubles, shape (m,).
         """
         rotation = data.geom_xmat[self._geoms].reshape(-1, 1, 3, 3)
         points = data.geom_xpos[self._geoms, None] + (rotation @ self._offsets[..., None])[..., 0]
-        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # false for doubles without a pose
+        is_shown = points[:, 0, 2] > OUT_OF_SIGHT[2] / 2  # False for doubles without a pose
         if hidden is not None:
             is_shown &= ~hidden[self._geoms]
         joints = self._joints

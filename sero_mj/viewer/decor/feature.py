@@ -1,6 +1,6 @@
-"""`Feature`: the base class of visual features, built-in and third-party, and its `Frame`.
+"""`Feature`: the base class of built-in and third-party visual features, which draw a `Frame`.
 
-A package adds a feature with an entry point in the group `sero_mj.decor`:
+A package adds a visual feature with an entry point in the group `sero_mj.decor`:
 
     [project.entry-points."sero_mj.decor"]
     temperature = "my_package:TemperatureGauge"
@@ -27,23 +27,24 @@ from .toggles import ShownItems, Toggles
 
 @dataclass(eq=False)
 class Frame:
-    """Data of one frame. Features append to `billboards`, `corners` and `panels`.
+    """The data of one frame. Features append to `billboards`, `corners` and `panels`.
 
     Attributes:
-        data: state of the world with the fields of `MjData`: `time`, `xpos`, `site_xpos`,
-            `userdata`, ...
+        buffer: buffer to which features add geoms.
+        data: state of the world with the fields of `MjData`, such as `time`, `xpos`, `site_xpos`
+            and `userdata`.
         shown: items that are switched on and have a pose.
-        values: mapping from the names `torques`, `torque_error`, `joint_angles` and all other
-            inputs of robots to the values of all joints, shape (N,) each, NaN for no data.
-        arrow_values: values shown by the joints' arrows, shape (N,), NaN for no data.
+        values: mapping from input names, such as `torques`, `torque_error` and `joint_angles`, to
+            the values of all joints, shape (N,) each, NaN for no data.
+        arrow_values: values shown by the arrows of the joints, shape (N,), NaN for no data.
         arrow_limit: values at which arrows reach full width, shape (N,), inf if there is no limit.
-        stale: mapping from names of robots, doubles, arrows and frames without fresh data to
-            messages.
-        stale_joints: mask (N,) of joints without fresh data.
+        stale: mapping from the names of items without fresh data (robots, doubles, arrows and
+            frames) to messages.
+        stale_joints: mask of the joints without fresh data, shape (N,).
         arrow_geoms: maximum number of geoms of a round arrow.
-        billboards: panels beside the robots, with leaders.
-        corners: panels in the corners of the image that billboards must not cover.
-        panels: other panels.
+        billboards: panels beside the robots, with leaders to the described items.
+        corners: panels in the corners of the image, which billboards must not cover.
+        panels: all other panels.
     """
 
     buffer: GeomBuffer
@@ -67,12 +68,12 @@ class Frame:
         return self.billboards
 
     def is_stale(self, names: list[str]) -> Bools:
-        """Returns a mask (k,) of the names without fresh data."""
+        """Returns a mask of the named items without fresh data, shape (k,)."""
         return stale_mask(names, self.stale)
 
 
 class Drawn(Protocol):
-    """An object that is drawn with every frame."""
+    """An object that `Decor` draws in each frame, such as a `Feature`."""
 
     def lay_out(self, frame: Frame) -> None: ...
 
@@ -80,7 +81,7 @@ class Drawn(Protocol):
 
 
 class FeatureSettings(Declaration):
-    """Settings of a feature in a scene, `[decor.NAME]`. Subclasses add fields.
+    """Settings of a visual feature: the table `[decor.NAME]` of a scene. Subclasses add fields.
 
     Attributes:
         show: whether the feature is shown.
@@ -90,15 +91,15 @@ class FeatureSettings(Declaration):
 
 
 class Feature:
-    """A visual feature of a world.
+    """Base class of visual features, which draw something into each frame of a world.
 
-    For each frame, `lay_out` is called for all features. Then text is drawn, and `draw` is called
-    for all features. If the number of geoms exceeds the capacity, geoms added by `draw` are
+    For each frame, `lay_out` of all features is called. Then text is drawn, and `draw` of all
+    features is called. If the number of geoms exceeds the capacity, geoms added by `draw` are
     dropped, but text is not.
 
     Attributes:
-        order: position in both passes, lowest first. Built-in features use 10 to 90.
-        settings: settings of this feature in the scene, set before `start` is called.
+        order: sort key of the calls, lowest first. Built-in features use 10 to 90.
+        settings: settings of this feature in the scene, which are set before `start` is called.
     """
 
     order: ClassVar[int] = 100
@@ -109,17 +110,17 @@ class Feature:
         self.world = world
 
     def start(self) -> None:
-        """Called once to check the settings; raises DeclarationError or UnknownName."""
+        """Called once to check the settings. May raise DeclarationError or UnknownName."""
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds billboards, corner panels and panels to the frame."""
+        """Called for each frame to add billboards, corner panels and other panels."""
 
     def draw(self, frame: Frame) -> None:
-        """Adds geoms to the buffer of the frame."""
+        """Called for each frame, after `lay_out`, to add geoms to the buffer."""
 
 
 def make_features(world: WorldView) -> list[Feature]:
-    """Returns all installed features that a world shows, and logs those that cannot be loaded.
+    """Returns the installed features that a world shows, and logs those that cannot be loaded.
 
     Raises:
         UnknownName: the scene has settings for a feature that is not installed.

@@ -1,8 +1,8 @@
-"""Flange check (section 3.1): compares the received base-to-flange frame with the computed one.
+"""Flange check: compares the received flange frame of a robot with the computed one.
 
 The received frame is drawn in pale colors, with a line to the computed flange frame. The difference
-is shown in the upper right corner. If it exceeds the robot's `flange_tolerance`, it is shown in red
-beside the flange.
+is shown in the upper right corner. If it exceeds the `flange_tolerance` of the robot, it is shown
+in red beside the flange. Source: section 3.1 of the paper.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ _PALE = 0.45  # fraction of white in the color of the received axes
 _LINE_RGBA = (0.78, 0.07, 0.07, 1.0)
 _GOOD_LINE_RGBA = (0.35, 0.37, 0.40, 1.0)
 _LINE_HALF_WIDTH = 0.003  # m
-_AXES_SHARE = 0.8  # length of the received axes, fraction of the length of the robot's axes
+_AXES_SHARE = 0.8  # length of the received axes, fraction of the length of other axes
 _CORNER_RGBA = (0.09, 0.11, 0.14, 0.6)
-_MARGIN = 0.5  # fraction of a line's height
+_MARGIN = 0.5  # distance from the image border, fraction of the line height
 
 
 def flange_difference(
     world: WorldView, data: mujoco.MjData, robot: str
 ) -> tuple[float, float] | None:
-    """Returns the difference between the received and the computed flange frame.
+    """Returns the difference between the received and the computed flange frame of a robot.
 
     Returns:
-        distance of the origins, m, and angle between the frames, rad. Returns None if no valid
-        frame was received.
+        distance between the origins, m, and angle between the frames, rad; None if no valid frame
+        was received.
     """
     received = _received(world, data, robot)
     if received is None:
@@ -59,7 +59,7 @@ def _received(world: WorldView, data: mujoco.MjData, robot: str) -> Array | None
 
 
 class FlangeCheck(Feature):
-    """Draws the comparison for every robot with a received flange frame."""
+    """The visual feature that compares each received flange frame with the computed one."""
 
     order = 30
 
@@ -114,7 +114,7 @@ class FlangeCheck(Feature):
         clear: float,
     ) -> BillboardGroup:
         widths = np.array([view.font.block_width(lines) for lines in texts])
-        top = len(self.world.joints.names)  # ranked above all billboards
+        top = len(self.world.joints.names)  # rank above all billboards of joints
         return BillboardGroup(
             kind=Kind.CHECK,
             items=np.array(items, np.intp),

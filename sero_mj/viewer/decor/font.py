@@ -1,7 +1,7 @@
-"""`Font`: widths of characters, and lines of text in aligned columns.
+"""`Font`: character widths, and columns that align the numbers of several lines.
 
-Lines are UTF-8. Latin, Greek and Cyrillic characters outside ASCII are set in additional faces of
-Inter. Other scripts are set in installed fonts.
+Lines of text are encoded in UTF-8. Latin, Greek and Cyrillic characters outside ASCII are set in
+additional faces of the font Inter. Other scripts are set in fonts of the system.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from ...robots.assemble.world_view import WorldView
 
 Widths = NDArray[np.intp] | NDArray[np.float64]
 
-# MjrContext.charWidth[32:127] at font scale 150 %, MuJoCo 4.0.0; checked by a test.
+# MjrContext.charWidth[32:127] of MuJoCo 4.0.0 at a font scale of 150 %. A test checks these values.
 _WIDTHS_150 = (
     6, 6, 9, 14, 12, 18, 15, 6, 7, 7, 12, 12, 6, 7, 6, 8, 12, 12, 12, 12, 12, 12, 12, 12, 12,
     12, 6, 6, 12, 12, 12, 10, 18, 15, 14, 16, 15, 14, 13, 16, 15, 6, 12, 15, 12, 18, 15, 17, 14,
@@ -30,13 +30,13 @@ _WIDTHS_150 = (
     5, 11, 5, 17, 12, 12, 12, 12, 7, 11, 6, 12, 11, 15, 11, 11, 11, 8, 12, 8, 12,
 )  # fmt: skip
 
-# Line heights of MuJoCo's font sizes: font scale in percent to pixels.
+# Line heights of MuJoCo fonts: mapping from font scale in percent to pixels.
 FONT_HEIGHTS = {100: 18, 150: 28, 200: 37, 250: 45, 300: 54}
 
 
 FONTS = Path(__file__).parents[1] / "fonts"
-_MAX_BYTES = 99  # maximum length of labels in MuJoCo
-# Files of system fonts for scripts that Inter does not have.
+_MAX_BYTES = 99  # maximum length of MuJoCo labels in bytes
+# Files of system fonts for scripts that Inter does not contain.
 _SYSTEM_FONTS = (
     "NotoSansCJK-Regular.ttc", "NotoSansCJKsc-Regular.otf", "SourceHanSansSC-Regular.otf",
     "wqy-microhei.ttc", "DroidSansFallbackFull.ttf", "DroidSansFallback.ttf", "PingFang.ttc",
@@ -44,11 +44,11 @@ _SYSTEM_FONTS = (
     "NotoSansDevanagari-Regular.ttf", "NotoSansArabic-Regular.ttf", "NotoSansHebrew-Regular.ttf",
     "NotoSansThai-Regular.ttf", "DejaVuSans.ttf", "Arial Unicode.ttf", "segoeui.ttf",
 )  # fmt: skip
-_SIZE = 16.0  # font size used to search fonts for characters, pixels
+_SIZE = 16.0  # font size in pixels at which fonts are searched for characters
 
 
 def line_of(text: str) -> bytes:
-    """Returns a text as a line of a panel, in UTF-8, truncated to MuJoCo's maximum length."""
+    """Returns a text encoded in UTF-8 and truncated to the maximum label length of MuJoCo."""
     raw = text.encode("utf-8", "replace")
     if len(raw) <= _MAX_BYTES:
         return raw
@@ -56,14 +56,14 @@ def line_of(text: str) -> bytes:
 
 
 def open_face(file: Path | str, size: float) -> ImageFont.FreeTypeFont:
-    """Opens a font at a size in pixels. Raises OSError if the font cannot be read."""
+    """Opens a font file at a size in pixels. Raises OSError if the file cannot be read."""
     # Raqm is not available everywhere and places some characters differently.
     return ImageFont.truetype(file, size, layout_engine=ImageFont.Layout.BASIC)
 
 
 @lru_cache(maxsize=1)
 def more_fonts() -> tuple[str, ...]:
-    """Returns the installed font files for characters outside ASCII."""
+    """Returns the available font files for characters outside ASCII."""
     found = [str(FONTS / "Inter-Medium-more.ttf")]
     for name in _SYSTEM_FONTS:
         with suppress(OSError):
@@ -84,19 +84,20 @@ def font_with(character: str) -> str | None:
 
 
 def drawable(text: str) -> bool:
-    """Returns whether the fonts contain all characters of a text."""
+    """Returns whether the available fonts contain all characters of a text."""
     return text.isascii() or all(c.isascii() or font_with(c) is not None for c in text)
 
 
 @dataclass(frozen=True, eq=False)
 class Font:
-    """A proportional font.
+    """The measures of a proportional font, which determine the sizes of panels.
 
     Attributes:
-        height: height of a line, pixels.
+        height: line height, pixels.
         widths: widths of the ASCII characters, shape (128,), pixels.
-        has_columns: whether the numbers of a panel are aligned, see `value_columns`.
-        other: width of all other characters, pixels (default: the width of W).
+        has_columns: whether the numbers of a panel are aligned in columns (`value_columns`).
+        other: function that returns the width of another character in pixels; None to use the
+            width of W for all other characters.
     """
 
     height: int
@@ -122,7 +123,7 @@ class Font:
         return float(self.widths[ord("W")]) if self.other is None else self.other(character)
 
     def block_width(self, lines: list[bytes]) -> int:
-        """Returns the width of the lines of a panel with values, pixels."""
+        """Returns the width in pixels of the lines of a panel that shows values."""
         if not self.has_columns:
             return max(self.width(line) for line in lines)
         return int(np.ceil(value_columns(lines, self.width).width))
@@ -138,12 +139,12 @@ class Font:
 
 DEFAULT_FONT = Font(FONT_HEIGHTS[150], np.pad(_WIDTHS_150, (32, 1)))
 _TEXT_OF_SCALE = 0.7  # text height per unit of billboard_scale, fraction of the shorter image side
-_MIN_LINE = FONT_HEIGHTS[100]  # pixels; smaller text is hard to read
-_MAX_LINE = 0.0675  # maximum height of a line, fraction of the shorter image side
+_MIN_LINE = FONT_HEIGHTS[100]  # minimum line height in pixels; smaller text is hard to read
+_MAX_LINE = 0.0675  # maximum line height, fraction of the shorter image side
 
 
 def line_height(world: WorldView, width: int, height: int) -> int:
-    """Returns the height of a line of text, pixels, in proportion to the shorter image side."""
+    """Returns the line height in pixels for images of a world, based on the shorter image side."""
     scales = [part.robot.billboard_scale for part in world.robots.values()] or [0.05]
     wanted = min(_TEXT_OF_SCALE * max(scales), _MAX_LINE) * min(width, height)
     return max(round(wanted), _MIN_LINE)
@@ -155,17 +156,17 @@ _VALUE = re.compile(
     r"(?P<head>.*?) +(?:(?P<whole>[-+]?\d+)(?P<rest>\.\d*(?:e[-+]?\d+)?)?(?P<unit> \S+)?"
     r"|(?P<none>no data|none))"
 )
-_GAP = " "  # before the numbers
+_GAP = " "  # space before the numbers
 
 
 @dataclass(frozen=True)
 class ValueLine:
-    """A line that ends with a number.
+    """A line of a billboard that ends with a number, split into its columns.
 
     Attributes:
-        whole: integer part of the number; `no data` if there is no number.
-        rest: the number from the decimal point on.
-        unit: unit with a leading space.
+        whole: integer part of the number, or `no data` or `none` if there is no number.
+        rest: remaining characters of the number from the decimal point on.
+        unit: unit of the number, with a leading space.
     """
 
     name: str
@@ -185,16 +186,16 @@ class ValueLine:
 
 @dataclass(frozen=True)
 class ValueColumns:
-    """Positions and width of lines that are aligned in columns, pixels."""
+    """The columns of a panel: its lines, and the positions in pixels that align them."""
 
     rows: list[ValueLine | str]
-    label: float  # left edge of the labels
+    label: float  # distance of the labels from the left edge
     tail: float  # distance of the decimal points from the right edge
-    width: float  # total width
+    width: float  # total width of the lines
 
 
 def value_columns(lines: Sequence[bytes], width: Width) -> ValueColumns:
-    """Returns the columns of lines, measured in pixels from the edges of the panel's text."""
+    """Returns columns that align the numbers in the lines of a panel."""
     rows = [_parsed(line.decode("utf-8", "replace")) for line in lines]
     values = [row for row in rows if isinstance(row, ValueLine)]
     names = max((width(row.name) for row in values), default=0.0)

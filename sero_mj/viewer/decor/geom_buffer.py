@@ -1,4 +1,4 @@
-"""`GeomBuffer`: the buffer of decor geoms that features fill every frame."""
+"""`GeomBuffer`: a buffer of geoms, which visual features fill in each frame."""
 
 from __future__ import annotations
 
@@ -29,42 +29,43 @@ GEOM = np.dtype(
     }
 )  # fmt: skip
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-CAPACITY = 4096  # geoms of a frame
+CAPACITY = 4096  # default maximum number of geoms of a frame
 # MuJoCo 4.0.0 draws arrows half as long as size[2] (glScalef by size[2] / 6 in render_gl3.c), with
-# a shaft of a third and a head of a sixth of size[2]; checked by a test.
+# a shaft of a third and a head of a sixth of size[2]. A test checks this factor.
 ARROW_SIZE_OF_LENGTH = 2.0
 GREY = (0.50, 0.50, 0.51)
 
 
 class Kind(IntEnum):
-    """Kind of item that a geom belongs to. Kind and index identify the clicked item."""
+    """The kind of item that a geom shows. Kind and index of the item identify what was clicked."""
 
     NONE = 0
-    ARROW = 1  # item: joint of the world
-    BILLBOARD = 2  # item: joint
-    AXES = 3  # item: frame
-    NAME = 4  # item: frame; the panel with its name
-    VECTOR = 5  # item: smart arrow
-    CARD = 6  # item: smart arrow; the panel with its numbers
-    CHECK = 7  # item: robot; the panel of its flange check
-    HANDLE = 8  # item: index in `HANDLE_NAMES`
-    PART = 9  # no item: the name of a part of the model
-    LIMB = 10  # item: first joint of a limb; the billboard of the limb
+    ARROW = 1  # round arrow of a joint; the item is the joint
+    BILLBOARD = 2  # billboard of a joint; the item is the joint
+    AXES = 3  # coordinate axes; the item is the frame
+    NAME = 4  # name of a frame; the item is the frame
+    VECTOR = 5  # smart arrow; the item is the arrow
+    CARD = 6  # panel with the values of a smart arrow; the item is the arrow
+    CHECK = 7  # panel of a flange check; the item is the robot
+    HANDLE = 8  # handle to drag a frame; the item is an index of `HANDLE_NAMES`
+    PART = 9  # name of a part of the model; without an item
+    LIMB = 10  # billboard of a limb; the item is the first joint of the limb
 
 
 class GeomBuffer:
-    """A buffer of decor geoms that is cleared and filled again every frame.
+    """A buffer of geoms, which visual features clear and fill in each frame.
 
     Attributes:
+        rows: structured array of all geoms, of type `GEOM`.
         count: number of geoms in use.
-        kinds: kind of item that each geom belongs to (`Kind`).
-        items: index of the item that each geom belongs to.
+        kinds: kind of the item that each geom shows (`Kind`).
+        items: index of the item that each geom shows.
         dropped: number of geoms of this frame that exceeded the capacity.
-        grey: mask (ngeom,) of the model's geoms that are drawn in gray; None for no geom.
-        hidden: mask (ngeom,) of the model's geoms that are not drawn; None for no geom.
-        opacity: factor for the opacity of each of the model's geoms, shape (ngeom,); None for 1.
-        drawn_doubles: doubles to draw that are not compiled into the model.
-        text: rows of panels and labels, for windows and images that typeset text themselves.
+        grey: mask of the geoms of the model that are drawn in gray, shape (ngeom,), or None.
+        hidden: mask of the geoms of the model that are not drawn, shape (ngeom,), or None.
+        opacity: factor for the opacity of each geom of the model, shape (ngeom,); None for 1.
+        drawn_doubles: visible doubles that are not compiled into the model.
+        text: rows of panels and labels, which windows and images with their own fonts leave out.
     """
 
     def __init__(self, capacity: int = CAPACITY) -> None:
@@ -98,14 +99,15 @@ class GeomBuffer:
     def take(
         self, n: int, geom: int, kind: Kind = Kind.NONE, items: Ints | int = 0
     ) -> NDArray[Any]:
-        """Allocates n rows for geoms of one type and returns them.
+        """Allocates n rows for geoms of the same type and returns them.
 
-        The caller sets size, pos, mat and rgba. If the rows exceed the capacity, none is returned
-        and `dropped` increases. This avoids partially drawn items.
+        The caller sets size, pos, mat and rgba. If the rows exceed the capacity, an empty array is
+        returned and `dropped` increases. This avoids partially drawn items.
 
         Args:
-            geom: `mjtGeom`.
-            items: index of the joint, frame, smart arrow or robot, shape (n,).
+            geom: type of the geoms, `mjtGeom`.
+            kind: kind of the items that the geoms show.
+            items: index of the item that each geom shows, shape (n,), or one index for all.
         """
         if self.count + n > len(self.rows):
             self.dropped += n
@@ -116,7 +118,7 @@ class GeomBuffer:
         self.items[place] = items
         self.count += n
         rows["type"] = geom
-        if geom == _LABEL:  # clearing the labels of all geoms would be slow
+        if geom == _LABEL:  # stored for `clear`, which would be slow for the labels of all geoms
             self._labelled.append(place)
         rows["emission"] = 0.35
         rows["specular"] = 0.1
@@ -124,16 +126,16 @@ class GeomBuffer:
 
 
 def place_triangles(rows: NDArray[Any], origin: Array, second: Array, third: Array) -> None:
-    """Sets size, pos and mat of triangles.
+    """Sets size, pos and mat of triangle geoms from their corners.
 
-    A triangle has its corners at its origin, at size[0] along x and at size[1] along y. It is
-    visible from the side that z points to. Coordinates are the first dimension, because numpy is
+    MuJoCo draws the corners of a triangle at its origin, at size[0] along x and at size[1] along y.
+    The triangle is visible from the side that z points to, from which the corners must appear in
+    counterclockwise order. Coordinates are the first dimension of the corners, because NumPy is
     slower for arrays with an inner dimension of 3.
 
     Args:
         rows: rows from `GeomBuffer.take`, shape (...).
-        origin: first corner, shape (3, ...), m. The corners are counterclockwise as seen from the
-            visible side.
+        origin: first corner of each triangle, shape (3, ...), m.
     """
     x, y = second - origin, third - origin
     rows["size"][..., 0] = _normalise(x)

@@ -1,7 +1,8 @@
-"""Handles to drag a frame, the mark of an unreachable target, and the ring of the selected joint.
+"""Draws handles to drag a frame, a mark at an unreachable target, and a ring at a selected joint.
 
-Three arrows move the frame along its axes, three rings rotate it about its axes, and a cube at its
-origin moves it in the image plane. Their size in the image does not depend on the distance.
+Users drag three arrows to move the frame along its axes, three rings to rotate it about its axes,
+and a cube to move it in the image plane. The size of handles in the image does not depend on the
+distance.
 """
 
 from __future__ import annotations
@@ -19,21 +20,21 @@ from .feature import Feature, Frame
 from .geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
 from .image_view import ImageView
 
-# Names of the handles, by the item of their geoms.
+# Names of the handles. The items of their geoms are indices of this tuple.
 HANDLE_NAMES = (
     *(f"move along {axis}" for axis in "xyz"),
     *(f"rotate about {axis}" for axis in "xyz"),
     "move in the image plane",
 )
 CUBE = 6
-# Sizes of the handles, fractions of a line's height.
+# Sizes of the handles, fractions of the line height.
 _ARROW_LENGTH = 6.4
 _RING_RADIUS = 4.6
 _ARROW_RADIUS = 0.22
 _RING_HALF_WIDTH = 0.11
 _CUBE_HALF = 0.30
 _MARK_HALF = 0.16
-SEGMENTS = 28  # boxes of a ring
+SEGMENTS = 28  # number of boxes of a ring
 _LIT_RGB = (1.00, 0.86, 0.25)
 _CUBE_RGB = (0.92, 0.93, 0.95)
 _MARK_RGBA = (0.90, 0.12, 0.10, 0.95)
@@ -41,7 +42,7 @@ _LARGEST = 0.16  # maximum length of the arrows, fraction of the image height
 
 
 class HandleDecor(Feature):
-    """Draws the handles and the target mark of `Toggles.handles`."""
+    """The visual feature that draws the handles and the target mark of `Toggles.handles`."""
 
     order = 85
 
@@ -56,14 +57,14 @@ class HandleDecor(Feature):
 
 
 def handle_length(point: Array, view: ImageView) -> float:
-    """Returns the length in m that a line's height has in the image at a point (3,)."""
+    """Returns the length in m at a point (3,) that appears as long as one line height."""
     depth = max(float((point - view.position) @ view.forward), view.near)
     line = min(view.font.height, _LARGEST * view.height / _ARROW_LENGTH)
     return float(view.pixel_size(depth)) * line
 
 
 def ring_radius(point: Array, view: ImageView) -> float:
-    """Returns the radius in m of the rotation rings about a point (3,)."""
+    """Returns the radius in m of the rings that rotate a frame with its origin at a point (3,)."""
     return _RING_RADIUS * handle_length(point, view)
 
 
@@ -104,10 +105,11 @@ def fill_ring(
     half_width: float,
     rgba: Sequence[float],
 ) -> None:
-    """Arranges boxes in a ring about the third column of `axes`, shape (3, 3).
+    """Arranges boxes in a ring.
 
     Args:
-        rows: geoms of the boxes.
+        rows: geoms of the boxes, shape (SEGMENTS,).
+        axes: rotation whose third column is the axis of the ring, shape (3, 3).
         radius: radius of the ring, m.
         half_width: half width of the ring, m.
     """
@@ -146,12 +148,12 @@ def _draw_mark(buffer: GeomBuffer, mark: Array, view: ImageView) -> None:
 
 
 _RGBA = (0.16, 0.75, 0.95, 0.95)
-_LARGER = 1.3  # radius of the ring, in radii of the joint's arrow
+_LARGER = 1.3  # radius of the ring, in radii of the arrow of the joint
 _HALF_WIDTH = 1.4  # half width of the ring, pixels
 
 
 class SelectionRing(Feature):
-    """Draws the ring about the selected joint."""
+    """The visual feature that draws a ring around the selected joint."""
 
     order = 84
 

@@ -1,4 +1,4 @@
-"""`ImageView`: camera pose, field of view and size of an image."""
+"""`ImageView`: a perspective camera, which projects points into an image."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Depth = TypeVar("Depth", float, Array)
 
 @dataclass(frozen=True, eq=False)
 class ImageView:
-    """A perspective camera and its image.
+    """A perspective camera with the size and the font of its image.
 
     Pixels are counted from the lower left corner, x to the right, y up.
 
@@ -28,9 +28,9 @@ class ImageView:
         up: unit vector to the top of the image, shape (3,).
         forward: unit vector in the viewing direction, shape (3,).
         tan_half_fovy: tangent of half the vertical field of view.
-        near: distance of the near plane, m.
-        inset: widths of the left, bottom, right and top margins that the UI covers, pixels. Panels
-            are placed in the area between these margins.
+        near: distance of the near plane from the camera, m.
+        inset: widths of the left, bottom, right and top margins that the UI covers, pixels.
+            Billboards and other panels are placed between these margins.
     """
 
     position: Array
@@ -53,7 +53,7 @@ class ImageView:
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> ImageView:
-        """Returns the view of an `MjvScene` filled by `mjv_updateScene`."""
+        """Returns the view of an `MjvScene` that was filled by `mjv_updateScene`."""
         left, right = scene.camera[0], scene.camera[1]
         position = (np.array(left.pos, np.float64) + right.pos) / 2
         forward = np.array(left.forward, np.float64)
@@ -74,14 +74,14 @@ class ImageView:
 
     @cached_property
     def free(self) -> tuple[Array, Array]:
-        """Lower left and upper right pixel, shape (2,) each, of the area not covered by UI."""
+        """Lower left and upper right pixel of the area that the UI does not cover."""
         left, below, right, above = self.inset
         low = np.array([left, below])
         return low, np.maximum(np.array([self.width - right, self.height - above]), low)
 
     @cached_property
     def facing(self) -> Array:
-        """Rotation (3, 3) with columns right, up, and towards the camera."""
+        """Camera rotation (3, 3), with the columns right, up, and opposite to forward."""
         return np.stack([self.right, self.up, -self.forward], axis=1)
 
     @cached_property
@@ -106,15 +106,15 @@ class ImageView:
         return pixels + self._centre, depth
 
     def sees(self, pixels: Array, depth: Array) -> NDArray[np.bool_]:
-        """Returns whether projected points are in the image, shape (...)."""
+        """Returns a mask of the projected points that are in the image, shape (...)."""
         inside = (pixels >= 0).all(axis=-1) & (pixels < [self.width, self.height]).all(axis=-1)
         return np.asarray(inside & (depth > self.near))
 
     def at(self, pixels: Array, depth: Depth) -> Array:
-        """Returns the world points (..., 3), m, at pixels and depths.
+        """Returns the world points, shape (..., 3), m, that `project` maps to pixels and depths.
 
         Args:
-            depth: depth along the viewing direction, m, as a scalar or of shape (..., 1).
+            depth: depths along the viewing direction, a scalar or shape (..., 1), m.
         """
         scale = self.pixel_size(depth)
         middle = self.position + depth * self.forward

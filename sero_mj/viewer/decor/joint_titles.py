@@ -1,4 +1,4 @@
-"""Titles of joints and frames, of limited length and without repeated parts."""
+"""Titles of joints and frames: names of limited length without repeated parts."""
 
 from __future__ import annotations
 
@@ -12,18 +12,19 @@ from .image_view import ImageView
 
 SHORTEST, LONGEST = 14, 40  # range of the maximum length of a name, characters
 _SHARE = 0.25  # maximum width of a name, fraction of the image width
-_BETWEEN = r"[_\-\s/:.]+"  # separator of the words of a name
+_BETWEEN = r"[_\-\s/:.]+"  # separators between the words of a name
 _WORD = r"[^_\-\s/:.]*"
 _GENERIC = ("joint", "jnt", "j", "link")
 _END = re.compile(rf"({_BETWEEN}({'|'.join(_GENERIC)}))+$", re.IGNORECASE)
 
 
 def short_joint_names(joints: Sequence[str], robot: str) -> list[str]:
-    """Returns the names of a robot's joints without repeated parts.
+    """Returns the joint names of a robot without repeated parts.
 
-    This removes the robot's name at the start, the words that all names begin with, and `joint` at
-    the end. Nothing is removed if the names would no longer be distinct or would be only numbers.
-    If no installed font has the characters of a name, the name becomes, for example, `joint 3`.
+    This removes the name of the robot at the start, the words that all names begin with, and words
+    such as `joint` at the end. Nothing is removed if the names would no longer be distinct or would
+    be only numbers. If no available font has the characters of a name, a name such as `joint 3`
+    replaces it.
     """
     own = re.compile(rf"^{re.escape(robot)}{_BETWEEN}(?=.)", re.IGNORECASE)
     names = _if_clear(list(joints), [own.sub("", name) for name in joints])
@@ -45,7 +46,7 @@ def _if_clear(names: list[str], plain: list[str]) -> list[str]:
 
 
 def longest_name(view: ImageView) -> int:
-    """Returns the number of characters of a name that fit on the billboards of an image."""
+    """Returns the maximum length of the names on the billboards of an image, in characters."""
     room = _SHARE * view.width / view.font.width("n")
     return int(min(max(room, SHORTEST), LONGEST))
 
@@ -59,10 +60,10 @@ def titles(
     """Returns the titles of the billboards of all joints.
 
     Args:
-        joints: short names of the joints of each owner.
+        joints: short joint names of each robot or double.
         owners: names of the robots and doubles. Words that all of them begin with are removed.
-        is_named: for each owner, whether titles contain the owner's name.
-        longest: maximum length of a robot's or a joint's name, characters.
+        is_named: whether the titles contain the name of the robot or double, for each of them.
+        longest: maximum length of the name of a robot, double or joint, characters.
     """
     of_joints = iter(shortened([name for names in joints for name in names], longest))
     owners = without_common_start(owners)
@@ -72,7 +73,7 @@ def titles(
     ):
         for name in names:
             joint = next(of_joints)
-            # The only joint of a body often has the body's name.
+            # The only joint of a body often has the name of the body.
             is_same = len(names) == 1 and name.lower() in owner.lower()
             title = short if is_same else f"{short} {joint}"
             found.append(title if with_owner else joint)
@@ -80,7 +81,7 @@ def titles(
 
 
 def without_common_start(owners: Sequence[str]) -> list[str]:
-    """Returns names without the words that all of them begin with."""
+    """Returns the names of robots and doubles without the words that all of them begin with."""
     words = [name.split("_") for name in owners]
     same = 0
     if len(words) > 1:
@@ -91,7 +92,7 @@ def without_common_start(owners: Sequence[str]) -> list[str]:
 
 @lru_cache(maxsize=16)  # called for each frame
 def frame_titles(names: tuple[str, ...]) -> list[str]:
-    """Returns the names of frames without the words that the names of all robots begin with."""
+    """Returns frame names, without the words with which the names of all robots begin."""
     owners = list(dict.fromkeys(name.partition("/")[0] for name in names if "/" in name))
     short = dict(zip(owners, without_common_start(owners), strict=True))
     return [
@@ -102,7 +103,7 @@ def frame_titles(names: tuple[str, ...]) -> list[str]:
 
 
 def shortened(names: Sequence[str], longest: int = SHORTEST) -> list[str]:
-    """Returns names without their middle parts if they exceed `longest` characters.
+    """Replaces the middle of names that exceed `longest` characters with two dots.
 
     Names that would become equal are shortened less.
     """

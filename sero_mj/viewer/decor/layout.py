@@ -1,6 +1,7 @@
-"""Layout of panels in columns beside the robots, and of their leaders, in pixels.
+"""Lays out panels in columns beside the robots, and the leaders (lines) from panels to joints.
 
-Heights follow the anchors continuously. Panels do not overlap if the image is large enough.
+All positions are in pixels. Heights of panels follow their anchors, the points at which leaders
+end, continuously. Panels do not overlap if the image is large enough.
 """
 
 from __future__ import annotations
@@ -11,9 +12,9 @@ from ...base.frames import Array, Bools, Ints
 
 LEFT, RIGHT = 0, 1
 _RAMP = 6  # distance from a corner panel at which a column begins to avoid it, in gaps
-_MIN_GAP = (
-    0.2  # minimum fraction of the gap before a second column is started or robots are covered
-)
+# Minimum gap between panels, fraction of the desired gap. A second column is started, or robots are
+# covered, only if panels do not fit with this gap.
+_MIN_GAP = 0.2
 
 
 def columns(
@@ -29,19 +30,19 @@ def columns(
     kept_free: Array | None = None,
     covered: Array | None = None,
 ) -> Array:
-    """Returns the centers of all panels of an image, shape (k, 2), pixels.
+    """Arranges panels in columns and returns their centers, shape (k, 2), pixels.
 
     Args:
-        anchors: pixel of every panel's joint, shape (k, 2), in vertical order of the panels,
-            lowest first.
-        sizes: width and height of every panel, shape (k, 2), pixels.
-        side: `LEFT` or `RIGHT` for every panel, shape (k,).
-        gap: minimum space between panels, pixels.
-        beside: space between the innermost columns and the outermost joint, pixels.
+        anchors: points at which the leaders of the panels end, shape (k, 2), pixels. The vertical
+            order of the panels is the order of this array, lowest first.
+        sizes: widths and heights of the panels, shape (k, 2), pixels.
+        side: side of each panel, `LEFT` or `RIGHT`, shape (k,).
+        gap: desired space between panels, pixels.
+        beside: space between the robots and the innermost columns, pixels.
         span: left and right limit of the robots, pixels (default: the limits of the anchors).
-        kept_free: left, bottom, right and top of rectangles in the corners of the image (legend,
-            errors, flange check) that panels must not cover, shape (c, 4), pixels.
-        covered: rectangles covered by robots that panels avoid if possible, shape (m, 4), pixels.
+        kept_free: rectangles of the corner panels, which other panels must not cover, shape (c, 4),
+            pixels. The columns are left, bottom, right and top.
+        covered: rectangles that robots cover, which panels avoid if possible, shape (m, 4), pixels.
     """
     centres = np.empty((len(anchors), 2))
     if not len(anchors):
@@ -97,17 +98,17 @@ def with_room(
     covered: Array,
     may_move: bool,
 ) -> tuple[int, Ints]:
-    """Returns how many of the first panels fit into one column on each side of the image.
+    """Determines how many panels, from the first on, fit into one column on each side of the image.
 
-    A narrow image has one column, on the right.
+    A narrow image has only one column, on the right.
 
     Args:
-        side: `LEFT` or `RIGHT` for every panel, shape (k,).
-        gap: minimum space between panels, pixels.
+        side: desired side of each panel, `LEFT` or `RIGHT`, shape (k,).
+        gap: desired space between panels, pixels.
         may_move: whether a panel may move to the other side if its own side has no room.
 
     Returns:
-        number of panels that fit, and the side of every panel, shape (k,).
+        number of panels that fit, and the side of each panel, shape (k,).
     """
     column = float(sizes[:, 0].max(initial=0.0)) + gap
     least = float(sizes[:, 1].min(initial=height)) + _MIN_GAP * gap
@@ -132,12 +133,12 @@ def with_room(
 
 
 def is_narrow(sizes: Array, gap: float, width: float) -> bool:
-    """Returns whether an image is too narrow for two columns of panels with these sizes (k, 2)."""
+    """Returns whether an image is too narrow for two columns of panels of the given sizes."""
     return bool(2 * (float(sizes[:, 0].max(initial=0.0)) + gap) > width)
 
 
 def side_limits(corners: Array, side: int, width: float, height: float) -> tuple[float, float]:
-    """Returns the vertical range between corner panels on one side of the image, pixels."""
+    """Returns the vertical range in pixels between the corner panels on one side of the image."""
     on_left = (corners[:, 0] + corners[:, 2]) / 2 < width / 2
     # A corner panel that extends beyond the middle also limits the other side.
     wide = (corners[:, 2] > width / 2) & (corners[:, 0] < width / 2)
@@ -145,7 +146,7 @@ def side_limits(corners: Array, side: int, width: float, height: float) -> tuple
 
 
 def limits(corners: Array, height: float) -> tuple[float, float]:
-    """Returns the vertical range between corner panels, which is at least a third of the image."""
+    """Returns the vertical range between corner panels, at least a third of the image height."""
     at_bottom = corners[:, 1] + corners[:, 3] < height
     below = float(corners[at_bottom, 3].max(initial=0.0))
     above = float(corners[~at_bottom, 1].min(initial=height))
@@ -154,11 +155,11 @@ def limits(corners: Array, height: float) -> tuple[float, float]:
 
 
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
-    """Returns corners of the other side, scaled by their distance from a column at `inner`.
+    """Returns the corner panels of the other side, with heights that depend on their distance.
 
-    A corner that reaches the column has its full height. A corner at a distance of `ramp` pixels
-    has height zero. Heights in between are interpolated, so that panels do not jump when the robot
-    moves.
+    A corner panel that reaches the column at `inner` has its full height. At a distance of `ramp`
+    pixels, its height is zero. Heights in between are interpolated, so that panels do not jump when
+    the robot moves.
     """
     away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
     share = np.clip(1.0 - away / ramp, 0.0, 1.0)
@@ -180,7 +181,7 @@ def _chunks(index: Ints, sizes: Array, gap: float, height: float) -> list[Ints]:
 
 
 def spread(centres: Array, heights: Array, gap: float, low: float, high: float) -> Array:
-    """Moves intervals apart by the smallest distances without changing their order.
+    """Moves intervals apart without changing their order.
 
     If the intervals do not fit between `low` and `high`, the gap is reduced. If they still do not
     fit, they overlap evenly.
@@ -188,12 +189,12 @@ def spread(centres: Array, heights: Array, gap: float, low: float, high: float) 
     Args:
         centres: desired centers of the intervals, shape (k,), pixels.
         heights: lengths of the intervals, shape (k,), pixels.
-        gap: minimum space between two intervals, pixels.
+        gap: desired space between two intervals, pixels.
         low: lower bound of all intervals, pixels.
         high: upper bound of all intervals, pixels.
 
     Returns:
-        centers of the intervals, shape (k,), lowest first.
+        new centers of the intervals, shape (k,), lowest first, pixels.
     """
     if not len(centres):
         return centres
@@ -219,8 +220,8 @@ def spread_around(
     """Moves intervals apart as `spread` does, and out of blocked ranges if there is room.
 
     Args:
-        blocked: lower and upper end of every blocked range, shape (b, 2), pixels. Blocked ranges
-            are ignored if the intervals do not fit between them.
+        blocked: lower and upper ends of the blocked ranges, shape (b, 2), pixels. If the intervals
+            do not fit between blocked ranges, these are ignored.
     """
     rooms = _rooms_between(blocked, low, high, float(heights.min())) if len(blocked) else []
     for between in (gap, _MIN_GAP * gap) if rooms else ():
@@ -238,7 +239,7 @@ def spread_around(
 def _assign_rooms(
     centres: Array, heights: Array, gap: float, rooms: list[tuple[float, float]]
 ) -> list[int] | None:
-    # Dynamic programming over the free ranges (rooms) minimizes the total distance.
+    # Dynamic programming over the free ranges (rooms) minimizes the sum of all distances.
     k = len(centres)
     until = np.concatenate([[0.0], np.cumsum(heights + gap)])
     least = np.where(np.arange(k + 1) == 0, 0.0, np.inf)  # cost of the first i intervals so far
@@ -275,17 +276,17 @@ def _rooms_between(
 def place_clear(
     centres: Array, sizes: Array, taken: Array, low: Array, high: Array, is_needed: Bools
 ) -> tuple[Array, Bools]:
-    """Moves rectangles by the smallest distances to avoid overlap with each other and with others.
+    """Moves rectangles, one after the other, to the closest positions without overlap.
 
     Args:
-        taken: left, bottom, right and top of fixed rectangles, shape (m, 4), pixels.
+        taken: fixed rectangles, shape (m, 4), pixels. The columns are left, bottom, right and top.
         low: lower left pixel of the available area, shape (2,).
         high: upper right pixel of the available area, shape (2,).
-        is_needed: mask (k,) of rectangles that are placed even if there is no room for them.
+        is_needed: mask of rectangles that are shown even if there is no room, shape (k,).
 
     Returns:
-        centers of the rectangles, shape (k, 2), and a mask (k,) of rectangles with room.
-        Rectangles without room are not moved.
+        new centers of the rectangles, shape (k, 2), and a mask of the rectangles with room, shape
+        (k,). Rectangles without room are not moved.
     """
     placed, has_room = centres.copy(), np.ones(len(centres), bool)
     for k, (centre, half) in enumerate(zip(centres, sizes / 2, strict=True)):
@@ -312,11 +313,10 @@ def place_clear(
 
 
 def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
-    """Returns the index of the start for each end, shape (k,), so that leaders do not cross.
+    """Returns the index of the start for each end, so that straight leaders do not cross.
 
     Two crossing leaders swap their starts. This reduces their total length, so the loop terminates.
-    `least_gain` is the minimum reduction of the length in pixels. Leaders with a smaller reduction
-    barely cross, and do not swap. Leaders are straight.
+    Leaders do not swap if the reduction is smaller than `least_gain` in pixels.
     """
     index = np.arange(len(starts))
     for _ in range(len(index) ** 2):
@@ -334,16 +334,17 @@ def uncross(starts: Array, ends: Array, least_gain: float = 0.0) -> Ints:
 
 
 def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float) -> Array:
-    """Returns the bends of leaders that would otherwise run behind other panels of their column.
+    """Bends the leaders that would otherwise run behind other panels of their column.
 
-    A bent leader runs along the edge of its column, and turns to its joint at the end of the
-    column. Leaders of farther panels are farther from the edge, so that leaders do not cross.
+    A bent leader first runs along the edge of its column. Past the last panel in its way, it turns
+    to its joint. Leaders of farther panels are farther from the edge, so that leaders do not cross.
 
     Args:
         lane: distance between leaders beside a column, pixels.
 
     Returns:
-        bends of all leaders, shape (k, 2), pixels. The bend of a straight leader is its start.
+        points at which the leaders bend, shape (k, 2), pixels. Straight leaders bend at their
+        start.
     """
     low, high = centres - sizes / 2, centres + sizes / 2
     is_behind = behind(starts, ends, low, high)
@@ -374,7 +375,7 @@ def bends(starts: Array, ends: Array, centres: Array, sizes: Array, lane: float)
 
 
 def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) -> int:
-    """Returns how often leaders cross each other or run behind panels other than their own.
+    """Returns how often leaders cross each other or run behind the panels of other leaders.
 
     Args:
         low: lower left pixels of the panels, shape (k, 2).
@@ -389,7 +390,7 @@ def tangle(starts: Array, bends: Array, ends: Array, low: Array, high: Array) ->
 
 
 def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
-    """Returns a mask (k, k) of straight leaders (rows) that run behind other panels (columns)."""
+    """Returns a mask (k, k) that states which leaders (rows) run behind other panels (columns)."""
     along = ends - starts
     along = np.where(np.abs(along) < 1e-9, 1e-9, along)[:, None]
     first, second = (
@@ -403,7 +404,7 @@ def behind(starts: Array, ends: Array, low: Array, high: Array) -> Bools:
 
 
 def crossings(starts: Array, ends: Array) -> Bools:
-    """Returns a mask (k, k) of the pairs of straight leaders that cross."""
+    """Returns a symmetric mask (k, k) that states which straight leaders cross each other."""
     along = ends - starts
 
     def side_of(points: Array) -> Array:

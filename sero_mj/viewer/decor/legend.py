@@ -1,4 +1,4 @@
-"""The legend, which shows what the arrows represent, and their value at full width."""
+"""The legend, which shows the quantities that arrows represent, and their scales."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
 _RGBA = (0.09, 0.11, 0.14, 0.6)
-# Names of the colors in `round_arrows`; checked by a test.
+# Names of the colors in `round_arrows`. A test compares them.
 _SIGNS = b"orange: + about z, blue: -"
-_LARGEST_SHARE = 0.10  # maximum fraction of the image
-_MARGIN = 0.5  # fraction of a line's height
+_LARGEST_SHARE = 0.10  # maximum fraction of the image that the legend covers
+_MARGIN = 0.5  # distance from the image border, fraction of the line height
 _MODELLED = "gravity torque of the model"
 _WORDS = {
     "torques": ("joint torque", "torque limit"),
@@ -31,9 +31,9 @@ _WORDS = {
     "torque_without_gravity": ("torque minus the model's gravity torque", "torque limit"),
     "torque_without_friction": ("torque minus the model's friction", "torque limit"),
 }
-_STATED_LENGTH = 0.1  # m; the legend states a round number of about this length
-_MAX_NAMES = 32  # characters of the names before a note or a scale
-# Inputs required for each quantity.
+_STATED_LENGTH = 0.1  # m; scales of smart arrows state a round value of about this length
+_MAX_NAMES = 32  # maximum length of the list of names before a note or a scale, characters
+# Inputs that are required for each quantity.
 _NEEDED = {
     "torques": ("torques",),
     "torque_error": ("torques", "commanded_torques"),
@@ -47,14 +47,14 @@ _TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without
 _LARGEST = "largest seen so far"
 _UNLIMITED = "width grows with the value"
 _BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
-# A line with a bar before each number, as wide as an arrow at that fraction of the limit.
+# The scale has a bar before each percentage, which is as wide as an arrow at that load.
 _SHARES = np.array([0.1, 0.5, 1.0])
 SCALE = ("     10 %", "     50 %", "     ")  # followed by the name of the limit
-_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # fractions of a line's height
+_BAR_WIDTH, _BAR_HEIGHT = 0.4, 0.8  # fractions of the line height
 
 
 def arrows_line(quantity: str, has_sliding: bool) -> str:
-    """Returns the line of the legend for the quantity of round arrows."""
+    """Returns the line of the legend that names the quantity of round arrows."""
     return _arrows_line(quantity, _WORDS[quantity][0], has_sliding)
 
 
@@ -63,12 +63,12 @@ def _arrows_line(quantity: str, what: str, has_sliding: bool) -> str:
 
 
 class Legend(Feature):
-    """Shows a panel for each quantity that arrows show, in the lower left corner.
+    """The visual feature that explains the arrows by panels in the lower left corner.
 
-    Notes of the scene and its robots are shown below these panels.
+    Each quantity has its own panel. Notes of the scene and its robots are shown below these panels.
 
     Attributes:
-        is_steady: whether the scale of a smart arrow stays visible after the arrow has disappeared.
+        is_steady: whether explanations stay visible after their arrows have disappeared.
     """
 
     order = 40
@@ -105,7 +105,7 @@ class Legend(Feature):
             view.height,
             view.inset,
         )
-        if key != self._key:  # changes only with the toggles and the image
+        if key != self._key:  # changes only with the toggles, the image and the drawn arrows
             self._key, self._panels = key, self._laid_out(toggles, arrows, view, limit)
         return self._panels
 
@@ -162,7 +162,7 @@ class Legend(Feature):
             texts.append(lines)
         widths = np.array([max(view.font.width(line) for line in lines) for lines in texts])
         sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
-        # Omitted if it would cover too much of a small image.
+        # Panels that would cover too much of a small image are omitted.
         room = _LARGEST_SHARE * view.width * view.height
         count = int((np.cumsum(sizes.prod(axis=1)) < room).sum())
         if not count:

@@ -1,4 +1,4 @@
-"""Limb billboards: one billboard for an arm or hand if its joints have no room for their own."""
+"""Limb billboards: one billboard for a whole arm or hand if there is no room for each joint."""
 
 from __future__ import annotations
 
@@ -17,14 +17,15 @@ from .joint_titles import without_common_start
 
 @dataclass(frozen=True, eq=False)
 class BillboardLimbs:
-    """Limbs of a world, for billboards.
+    """The limbs of a world, each of which may have one billboard instead of one for each joint.
 
     Attributes:
-        groups: for each owner of joints, the index of the robot beside which its billboards are
-            placed, shape (len(owners),). Each double has its own index.
-        beside: for each joint, the number of the limb beside which its billboard is placed, shape
-            (N,). Billboards of fingers are placed beside their arm.
-        of_joint: number of each joint's limb, shape (N,), an index of `names`.
+        groups: index of the robot beside which the billboards of each robot or double are placed,
+            shape (len(owners),). Each double has its own index.
+        beside: number of the limb beside which the billboard of each joint is placed, shape (N,).
+            Billboards of fingers are placed beside their arm.
+        of_joint: index in `names` of the limb that each joint belongs to, shape (N,).
+        names: names of the limbs.
     """
 
     groups: Ints
@@ -36,15 +37,14 @@ class BillboardLimbs:
         return np.flatnonzero(self.of_joint == self.of_joint[joint])
 
     def collapsed(self, shown: Ints, is_clicked: Bools, room: int) -> Bools:
-        """Returns a mask (k,) of joints whose billboards are replaced by that of their limb.
+        """Returns a mask of the joints whose billboards the billboard of their limb replaces.
 
-        Limbs are collapsed in descending order of their number of joints, until the remaining
-        billboards fit. Limbs with the same number of joints, such as two legs, are collapsed
-        together.
+        Limbs with more joints are collapsed first, until the remaining billboards fit. Limbs with
+        the same number of joints, such as two legs, are collapsed together.
 
         Args:
             shown: indices of joints with a billboard, shape (k,).
-            is_clicked: mask (k,) of joints that always have their own billboard.
+            is_clicked: mask of joints that always have their own billboard, shape (k,).
             room: number of billboards that fit into the image.
         """
         limb = self.of_joint[shown]
@@ -63,11 +63,11 @@ class BillboardLimbs:
 
 
 def billboard_limbs(world: WorldView) -> BillboardLimbs:
-    """Returns the limbs of a world.
+    """Returns the limbs of a world, with small limbs such as fingers combined into one limb.
 
-    Limbs that are small compared to the limb that carries them are combined into one limb. Its
-    billboards are placed beside those of the carrier. The same holds for robots that another robot
-    carries, such as a hand with fingers.
+    Limbs that are small compared to the limb that carries them are combined. Their billboards are
+    placed beside those of the carrier. The same holds for a robot that another robot carries, such
+    as a hand with fingers.
     """
     joints, parts = world.joints, list(world.owners.values())
     is_double = np.array([isinstance(part, DoublePart) for part in parts], bool)
@@ -85,7 +85,7 @@ def billboard_limbs(world: WorldView) -> BillboardLimbs:
         own = joints.limb[part.joints]
         steps = np.linalg.norm(centres[part.joints] - centres[below], axis=1)
         lengths = np.bincount(own, np.where(joints.limb[below] == own, steps, 0.0))
-        for k in np.flatnonzero(joints.limb[below] != own):  # the first joints of limbs
+        for k in np.flatnonzero(joints.limb[below] != own):  # first joints of limbs
             if lengths[own[k]] < SMALL * lengths[joints.limb[below[k]]]:
                 by = int(beside[below[k]])
                 beside[part.joints][own == own[k]] = by

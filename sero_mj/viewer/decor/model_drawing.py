@@ -1,7 +1,6 @@
-"""`ModelDrawing`: parts of a model that MuJoCo draws in addition to its surfaces.
+"""`ModelDrawing`: draws contacts, inertias, joints and centers of mass of a model with MuJoCo.
 
-Contacts, inertias, joints and centers of mass are geoms of MuJoCo. Transparency and wireframes are
-options of its scenes.
+MuJoCo adds geoms for these parts. Transparency and wireframes are options of MuJoCo scenes.
 """
 
 from __future__ import annotations
@@ -22,7 +21,7 @@ from .toggles import Toggles
 
 log = logging.getLogger(__name__)
 
-# Flags of `mjtVisFlag` by switch. Contacts include their forces if they are known.
+# Mapping from switches to flags of `mjtVisFlag`. Contacts include their forces if they are known.
 _FLAGS = {
     "contacts": "mjVIS_CONTACTPOINT",
     "inertias": "mjVIS_INERTIA",
@@ -38,19 +37,19 @@ _JOINT = int(mujoco.mjtObj.mjOBJ_JOINT)
 _JOINT_SIZE = (0.22, 0.22, 3.2)  # size of arrows of joints, in radii of the torque arrows
 _SPHERE, _UNKNOWN = int(mujoco.mjtGeom.mjGEOM_SPHERE), int(mujoco.mjtObj.mjOBJ_UNKNOWN)
 _MIN_MASS = 1e-6  # kg
-# Sizes in mean body sizes; with MuJoCo's defaults, they hide arms and contacts.
+# Sizes in mean body sizes. With the default sizes of MuJoCo, these parts hide arms and contacts.
 _SIZES = {
     "contactwidth": 0.13, "contactheight": 0.03, "forcewidth": 0.04, "com": 0.15,
     "jointlength": 0.9, "jointwidth": 0.07,
 }  # fmt: skip
-_INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # MuJoCo's default is opaque and hides the arm
-_WEIGHT_LENGTH = 0.25  # length of the arrow of the model's whole weight, fraction of its extent
-_GLOW = 0.35  # minimum emission, the same as for other decor
+_INERTIA_RGBA = (0.8, 0.2, 0.2, 0.25)  # the default color of MuJoCo is opaque and hides the arm
+_WEIGHT_LENGTH = 0.25  # arrow length of the total weight of a model, fraction of its extent
+_GLOW = 0.35  # minimum emission, the same as in `GeomBuffer`
 _CAPACITY = 4000
 
 
 class ModelDrawing:
-    """Draws parts of a world's model, as selected by the switches of `Toggles`."""
+    """A renderer of the model parts that the switches of `Toggles` select, for one world."""
 
     def __init__(self, world: WorldView) -> None:
         self._world = world
@@ -79,7 +78,7 @@ class ModelDrawing:
 
     @cached_property
     def _radii(self) -> Array:
-        # Radii of the joints' arrows, (njnt,), m; 0 for joints without one.
+        # Arrow radii of all joints of the model, shape (njnt,), m; 0 for joints without an arrow.
         world, model = self._world, self._world.model
         radii = np.zeros(model.njnt)
         for part in world.robots.values():
@@ -94,7 +93,7 @@ class ModelDrawing:
         camera: mujoco.MjvCamera,
         scene: mujoco.MjvScene,
     ) -> None:
-        """Lets MuJoCo fill a scene with the world as seen by a camera."""
+        """Fills a scene with the surfaces and the selected parts of the world for a camera."""
         self._surfaces.flags[_TRANSPARENT] = toggles.transparent
         scene.flags[_WIREFRAME] = toggles.wireframe
         model = self._world.model
@@ -102,7 +101,7 @@ class ModelDrawing:
         self.add(data, toggles, scene)
 
     def rows(self, data: mujoco.MjData, toggles: Toggles) -> np.ndarray:
-        """Returns only the geoms of the parts, as an array (k,) of type `GEOM`."""
+        """Returns the geoms of the selected parts, without surfaces, as an array of type `GEOM`."""
         if not _has_parts(toggles):
             return np.zeros(0, GEOM)
         if self._own is None:
@@ -112,7 +111,7 @@ class ModelDrawing:
         return self._rows_of(self._own)[: self._own.ngeom].copy()
 
     def add(self, data: mujoco.MjData, toggles: Toggles, scene: mujoco.MjvScene) -> None:
-        """Adds the geoms of the parts to a scene."""
+        """Appends the geoms of the selected parts to a scene."""
         if not _has_parts(toggles):
             return
         for name, flag in _FLAGS.items():

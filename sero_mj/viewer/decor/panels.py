@@ -15,24 +15,24 @@ from .image_view import ImageView
 from .layout import place_clear
 
 PANEL_RGBA = (0.09, 0.11, 0.14, 0.78)
-# Depths in units of the near plane: text in front of panels, leaders and the scene.
+# Depths in units of the near plane distance. Text is in front of panels, leaders and the scene.
 _PANEL_DEPTH, _LEADER_DEPTH = 1.5, 1.6
 _FRONT_DEPTH = 1.3  # depth of panels in front of other panels
 _BAR_DEPTH = 1.45
 _TEXT_NEARER = 0.1
 BAR_RGBA = (0.93, 0.93, 0.93, 1.0)
 _UPPER_LEFT = np.array([-0.5, 0.5])
-_LEADER_BASE = 0.22  # fraction of a line's height
+_LEADER_BASE = 0.22  # width of a leader at its panel, fraction of the line height
 _BENT = 0.6  # width of a bent leader, fraction of the width of a straight one
-PADDING = 0.35  # on every side, fraction of a line's height
+PADDING = 0.35  # space between text and the left or right edge, fraction of the line height
 
 
 def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: ImageView) -> Array:
-    """Returns the widths and heights of panels, shape (k, 2), pixels.
+    """Returns the widths and heights of panels with text, shape (k, 2), pixels.
 
     Args:
-        text_widths: width of the widest line of every panel, shape (k,), pixels.
-        lines: number of lines of every panel, shape (k,) or one number for all.
+        text_widths: width of the widest line of each panel, shape (k,), pixels.
+        lines: number of lines of each panel, shape (k,), or one number for all panels.
     """
     line = view.font.height
     sizes = np.empty((len(text_widths), 2))
@@ -43,16 +43,17 @@ def panel_sizes(text_widths: Array, lines: NDArray[np.intp] | int, view: ImageVi
 
 @dataclass(frozen=True, eq=False)
 class Panels:
-    """Panels with text, laid out in pixels.
+    """A set of k panels with text, positioned in pixels.
 
     Attributes:
-        texts: lines of every panel, top line first.
-        rgba: one color for all panels, or one color each, shape (k, 4).
-        items: index of the joint or frame that every panel belongs to, shape (k,).
+        texts: lines of each panel, top line first.
+        rgba: one color for all panels, or one color for each, shape (k, 4).
+        items: index of the item that each panel describes, shape (k,).
         in_front: whether the panels cover other panels. Covered text is not drawn.
-        has_values: whether the lines contain values that may be aligned in columns.
-        bars: left, bottom, width and height of light bars on the panels, shape (m, 4), pixels.
-        of_arrows: whether the panels explain arrows and are useless without arrows.
+        has_values: whether the lines contain values, which may be aligned in columns.
+        bars: light bars on the panels, shape (m, 4), pixels. The columns are left, bottom, width
+            and height.
+        of_arrows: whether the panels only explain arrows and can be omitted without arrows.
     """
 
     centres: Array
@@ -78,7 +79,7 @@ class Panels:
 
 
 def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Returns the centers and sizes of panels, which are moved into the image if necessary."""
+    """Returns the centers and sizes of panels, moved into the image if necessary."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
@@ -87,7 +88,7 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns labels below the visible points of `places`, shape (k, 3), and their indices.
+    """Returns name labels below the visible points of `places`, shape (k, 3), and their indices.
 
     Returns None if no point is visible.
     """
@@ -101,13 +102,13 @@ def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Pane
 
 
 def clear_of(labels: list[Panels], others: list[Panels], view: ImageView) -> list[Panels]:
-    """Returns labels, moved so that they overlap neither each other nor other panels.
+    """Returns labels that are moved so that they overlap neither each other nor other panels.
 
-    Labels without room are omitted, because overlapping text is unreadable.
+    Names of frames are omitted if there is no room, because overlapping text is unreadable.
 
     Args:
         labels: labels to move. The first ones are placed first.
-        others: fixed panels.
+        others: panels with fixed positions.
     """
     if not labels:
         return []
@@ -137,12 +138,12 @@ def draw_panels(
     """Draws all panels of a frame in one vectorized pass.
 
     Args:
-        groups: panels of different colors.
-        lighter: fraction of white added to the panels' colors.
+        groups: panels to draw.
+        lighter: fraction of white that is added to the colors of the panels.
 
     Returns:
-        the drawn panels in this order. Panels covered by others have empty lines. The list is
-        empty if the panels exceed the buffer's capacity.
+        the drawn panels from back to front. Lines that other panels cover are empty. The list is
+        empty if the panels exceed the capacity of the buffer.
     """
     groups = sorted((group for group in groups if group.texts), key=lambda group: group.in_front)
     if not groups:
@@ -250,14 +251,14 @@ def draw_leaders(
     ends: Array,
     rgba: tuple[float, ...],
 ) -> None:
-    """Draws leaders as thin triangles; the first part of a bent leader is a line."""
+    """Draws leaders as thin triangles. The first section of a bent leader has constant width."""
     base = max(_LEADER_BASE * view.font.height, 3.0)
     is_bent = (bends != starts).any(axis=1)
     _draw_tips(buffer, view, starts[~is_bent], ends[~is_bent], base, rgba)
     if is_bent.any():
         first, turn = starts[is_bent], bends[is_bent]
         _draw_tips(buffer, view, turn, ends[is_bent], _BENT * base, rgba)
-        # A line is two triangles, one from each of its ends.
+        # The first section consists of two triangles, one from each of its ends.
         for one, other in ((first, turn), (turn, first)):
             _draw_tips(buffer, view, one, other, _BENT * base, rgba, at_corner=True)
 
@@ -280,7 +281,7 @@ def _draw_tips(
     length = np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-3)
     along /= length[:, None]
     across = along[:, ::-1] * (1.0, -1.0)
-    # Corners are projected one by one, because lens distortion bends straight lines.
+    # All three corners are projected, because lens distortion bends straight lines.
     first = starts - across * (base / 2)
     tip = ends - across * (base / 2) if at_corner else ends
     pixels = np.concatenate((first, first + across * base, tip))

@@ -1,4 +1,4 @@
-"""`PartNames`: names of bodies, joints or geoms of the model, below their positions."""
+"""`PartNames`: shows the names of bodies, joints or geoms of the model."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .panels import Panels, labels_below
 from .toggles import PART_NAMES
 
 _GROUPS = 3  # number of visible groups of geoms
-_LOWER = 3  # maximum distance of a label from its position, lines
+_LOWER = 3  # maximum number of steps of one label height that a label moves down
 _TOUCHING = 0.01  # maximum overlap of labels, pixels
 
 
 class PartNames(Feature):
-    """Shows the names of the parts selected by `Toggles.part_names`."""
+    """The visual feature that shows the names of the parts that `Toggles.part_names` selects."""
 
     order = 61
 
@@ -34,8 +34,8 @@ class PartNames(Feature):
 
 
 def _apart(labels: Panels) -> Panels:
-    # Labels move a few lines down at most, else they are omitted. Farther away, a name would seem
-    # to belong to another part. `js/src/labels.js` does the same.
+    # Labels that would have to move down by more than a few lines are omitted, because they would
+    # seem to belong to another part. `js/src/labels.js` does the same.
     centres, placed = labels.centres.copy(), list[int]()
     for k, (size, centre) in enumerate(zip(labels.sizes, labels.centres, strict=True)):
         apart = (labels.sizes[placed] + size) / 2
@@ -48,12 +48,12 @@ def _apart(labels: Panels) -> Panels:
 
 
 def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Array]:
-    """Returns the names and positions (k, 3), m, of parts of the model.
+    """Returns the names of parts of the model, and their positions, shape (k, 3), m.
 
     Fixed parts are included. Doubles, received frames, cameras and unnamed parts are omitted.
 
     Args:
-        chosen: index in `PART_NAMES`.
+        chosen: kind of the parts, as an index of `PART_NAMES`.
     """
     model, what = world.model, PART_NAMES[chosen]
     if what == "nothing":

@@ -1,10 +1,10 @@
-"""Per-joint values that decor shows: received values and values computed from them.
+"""Values of joints that visual features show: received values and values computed from them.
 
-Proximity to a singularity was the first use of round arrows (the paper's reference 14). It is
-measured by the inverse condition number of the Jacobian, with lengths in units of the robot's
-reach. This number is 0 at a singularity and at most 1. Close to a singularity, each joint's arrow
-shows the direction of motion towards the singularity, with a width in proportion to the joint's
-contribution.
+Proximity to a singularity was the first use of round arrows (reference 14 of the paper). It is
+measured by the inverse condition number of the Jacobian, with lengths in units of the reach of the
+robot. This number is 0 at a singularity and at most 1. Close to a singularity, the arrow of each
+joint shows the direction of motion towards the singularity. Its width shows how much the joint
+contributes.
 
 Sources: inverse condition number as in Angeles, Fundamentals of Robotic Mechanical Systems, 4.9;
 derivative of the Jacobian as in Haviland and Corke, Manipulator Differential Kinematics, part 2.
@@ -32,19 +32,19 @@ QUANTITY_NAMES = {
     "torque_without_gravity": "torque without gravity",
     "torque_without_friction": "torque without friction",
 }
-# A value above this multiple of its limit is treated as an error of its source.
+# A value above this multiple of its limit is treated as an error of its source and is not drawn.
 IMPLAUSIBLE_FACTOR = 1e3
-DOUBTFUL_FACTOR = 10.0  # values above this multiple of the limit are also reported as text
+DOUBTFUL_FACTOR = 10.0  # multiple of its limit above which a torque is reported as text
 
 
 def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
-    """Returns all received values of all joints, and the values computed from them.
+    """Returns the received values of all joints, and the values computed from them.
 
-    If the largest torque so far replaces a joint's limit, this also updates that limit.
+    If the largest torque so far replaces the limit of a joint, this also updates that limit.
 
     Returns:
-        mapping from names to values of all joints, shape (N,), NaN for no data. The names are all
-        per-joint inputs, `joint_angles`, and `torque_error` (commanded - measured).
+        mapping from names to the values of all joints, shape (N,), NaN for no data. The names are
+        the inputs of joints, `joint_angles`, and `torque_error` (commanded - measured).
     """
     data = world.state(data)
     joints, userdata = world.joints, data.userdata
@@ -61,13 +61,13 @@ def joint_values(world: WorldView, data: mujoco.MjData) -> dict[str, Array]:
 
 
 def torque_and_unit(world: WorldView, joint: int) -> tuple[str, TorqueUnit]:
-    """Returns "torque", or "force" for a prismatic joint, and its unit."""
+    """Returns "torque", or "force" for a prismatic joint, and the unit that the robot declares."""
     what = "torque" if world.joints.revolute[joint] else "force"
     return what, world.joints.torque_units[joint]
 
 
 def torque_text(world: WorldView, joint: int, value: float) -> str:
-    """Returns a torque of a joint, in Nm or N, with three digits and the joint's unit."""
+    """Returns the text of a torque in Nm, or force in N, with the unit of the joint."""
     factor, unit = world.joints.torque_units[joint]
     return f"{factor * value:.3g} {unit}"
 
@@ -77,14 +77,14 @@ def _limit_name(world: WorldView, joint: int) -> str:
 
 
 def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]:
-    """Returns messages for torques above `DOUBTFUL_FACTOR` times their limit."""
+    """Returns a message for each torque that exceeds `DOUBTFUL_FACTOR` times its limit."""
     joints, torques = world.joints, values["torques"]
     share = np.abs(torques) / joints.torque_limit
     found = np.flatnonzero(share > DOUBTFUL_FACTOR)  # not NaN
     return [
         f"{joints.names[i]}: {torque_text(world, i, torques[i])} is "
         + (
-            f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)}; not drawn"
+            f"over {IMPLAUSIBLE_FACTOR:.0f} times {_limit_name(world, i)} and is not drawn"
             if share[i] > IMPLAUSIBLE_FACTOR
             else f"{share[i]:.0f} times {_limit_name(world, i)}"
         )
@@ -95,10 +95,10 @@ def implausible_torques(world: WorldView, values: dict[str, Array]) -> list[str]
 def arrow_values(
     world: WorldView, data: mujoco.MjData, values: dict[str, Array], quantity: NDArray[np.intp]
 ) -> tuple[Array, Array]:
-    """Returns the value that each joint's arrow shows, and the value at which it has full width.
+    """Returns the values that the arrows of joints show, and the limits for full arrow width.
 
     Args:
-        quantity: index of each joint's quantity in `ARROW_QUANTITIES`, shape (N,).
+        quantity: quantity that each arrow shows, as an index of `ARROW_QUANTITIES`, shape (N,).
 
     Returns:
         values, shape (N,), NaN for no data, and limits, shape (N,), inf if there is no limit.
@@ -133,7 +133,7 @@ def arrow_values(
 
 
 def joint_name(world: WorldView, joint: int) -> str:
-    """Returns the name of a joint with its robot or double, such as `lwr/A4`."""
+    """Returns the name of a joint, preceded by that of its robot or double, such as `lwr/A4`."""
     owner = list(world.owners)[int(world.joints.owner[joint])]
     name = world.joints.names[joint]
     return name if name.startswith(f"{owner}/") else f"{owner}/{name}"
@@ -143,12 +143,12 @@ FAR = 0.15  # inverse condition number above which no arrow is shown
 
 
 def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
-    """Returns the proximity to a singularity and the direction of every joint towards it.
+    """Returns how close a robot is to a singularity, and how each joint moves it closer.
 
     Returns:
         values from -1 to 1, shape (n,). The sign is the direction of motion towards the
-        singularity. The largest magnitude is the proximity: 1 at the singularity, 0 for inverse
-        condition numbers of `FAR` and more.
+        singularity. The largest magnitude is the proximity: 1 at the singularity, 0 if the inverse
+        condition number is at least `FAR`.
     """
     towards = np.zeros(part.robot.n)
     if not len(part.chain):
@@ -162,10 +162,10 @@ def towards_singularity(world: WorldView, data: mujoco.MjData, part: Owner) -> A
 
 
 def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
-    """Returns the flange's geometric Jacobian (6, m), with lengths in units of the robot's reach.
+    """Returns the geometric Jacobian of the flange with lengths in units of the robot reach.
 
-    It has a column for every joint that moves the flange. It is computed from the sites at the
-    joints, because a double has no degrees of freedom in MuJoCo.
+    The Jacobian, shape (6, m), has a column for each joint that moves the flange. It is computed
+    from the sites at the joints, because a double has no degrees of freedom in MuJoCo.
     """
     chain = part.chain
     sites = world.joints.centre_site[part.joints][chain]
@@ -181,14 +181,14 @@ def jacobian(world: WorldView, data: mujoco.MjData, part: Owner) -> Array:
 
 
 def inverse_condition(J: Array) -> tuple[float, Array]:
-    """Returns the inverse condition number of a Jacobian and its gradient in the joint angles.
+    """Returns the inverse condition number of a Jacobian and its gradient by the joint positions.
 
     Args:
         J: Jacobian in the base frame, shape (6, n). The angular part of a prismatic joint is zero.
 
     Returns:
-        smallest over largest singular value, and the gradient of this ratio, shape (n,), per rad
-        or m.
+        ratio of the smallest to the largest singular value, and the gradient of this ratio, shape
+        (n,), 1/rad or 1/m.
     """
     u, s, vt = np.linalg.svd(J, full_matrices=False)
     if s[0] < 1e-12:
@@ -200,7 +200,7 @@ def inverse_condition(J: Array) -> tuple[float, Array]:
 
 
 def _hessian(J: Array) -> Array:
-    """Returns dJ/dq, shape (n, 6, n), where [i, :, j] is the derivative of column j by joint i."""
+    """Returns an array (n, 6, n) in which [i, :, j] is the derivative of column j by joint i."""
     n = J.shape[1]
     linear, angular = J[:3].T, J[3:].T
     i, j = np.indices((n, n))

@@ -1,7 +1,7 @@
-"""Ribbons: the shape of round arrows.
+"""Ribbons: the geoms of round arrows.
 
-A ribbon is a row of thin boxes along an arc. Its heads are made of triangles and taper in width and
-thickness, so that they are recognizable from the side and along the axis.
+A ribbon is a row of thin boxes along an arc. Its heads consist of triangles and taper in width and
+thickness, so that they are visible from the side and along the axis of the arrow.
 """
 
 from __future__ import annotations
@@ -22,14 +22,14 @@ _STRIPE_RGB = (0.08, 0.08, 0.09)
 _ARC = np.deg2rad(315.0)
 _HEAD_ARC = np.deg2rad(46.0)
 # Number of heads, and number of steps along the arc of each head, finest first. The last head is at
-# the tip. Other heads stay visible if the link hides the last one.
+# the tip of the arrow. Other heads stay visible if the link hides the last one.
 _HEADS = ((3, 3), (3, 2), (2, 2), (2, 1), (1, 1))
 _FEWEST_BOXES = 8  # minimum number of boxes if there is more than one head
 _MARK_SIZE = 0.7  # protrusion of the other heads, fraction of the protrusion of the last head
-_NECK = 0.25  # width in front of these heads, fraction of the ribbon's width
-_THICKNESS = 0.05  # fraction of the radius
-_HEAD_THICKNESS = 0.30  # maximum thickness of the head, fraction of the radius
-# Width of the head: factor of the ribbon's width, plus fraction of the radius.
+_NECK = 0.25  # width in front of the other heads, fraction of the ribbon width
+_THICKNESS = 0.05  # thickness of the ribbon, fraction of the radius
+_HEAD_THICKNESS = 0.30  # maximum thickness of the heads, fraction of the radius
+# Width of the heads: factor of the ribbon width, plus fraction of the radius.
 _HEAD_WIDER = (1.5, 0.28)
 # Ribbon width at which heads reach full size (about 2 % of the limit), fraction of the radius.
 _FULL_HEAD_WIDTH = 0.14
@@ -37,14 +37,17 @@ _FULL_HEAD_WIDTH = 0.14
 
 @dataclass(frozen=True, eq=False)
 class Ribbons:
-    """Poses and appearance of k round arrows.
+    """Positions and appearance of k round arrows.
 
     Attributes:
-        items: index of the item that each arrow belongs to, shape (k,).
-        axes: rotations with z along the axis of the arrow (right-hand rule), shape (k, 3, 3).
-        phase: angle of the tail about z from x, in the arrow's direction, shape (k,), rad.
-        sign: 1, or -1 for the opposite direction, shape (k,).
-        striped: mask (k,) of arrows that are striped because their values exceed the limit.
+        items: index of the item that each arrow shows, shape (k,).
+        centre: centers of the arrows, shape (k, 3), m.
+        axes: orientations of the arrows, which run around the z axes, shape (k, 3, 3).
+        phase: angle from x to the tail of the arrow in its direction, shape (k,), rad.
+        sign: direction, 1 for the right-hand rule or -1 for the opposite direction, shape (k,).
+        radius: radii of the arrows, shape (k,), m.
+        width: widths of the ribbons, shape (k,), m.
+        striped: mask of arrows that are striped because their values exceed the limit, shape (k,).
     """
 
     items: NDArray[np.intp]
@@ -59,7 +62,7 @@ class Ribbons:
 
 
 def draw_ribbons(buffer: GeomBuffer, kind: Kind, ribbons: Ribbons, budget: int) -> None:
-    """Draws round arrows with at most `budget` geoms each."""
+    """Adds round arrows to a buffer, with at most `budget` geoms for each arrow."""
     shape = ribbon_shape(budget)
     count, boxes = len(ribbons.items), len(shape.middle)
     box, triangle = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
@@ -96,7 +99,7 @@ def _place_boxes(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
     grid["mat"][..., 1] = np.moveaxis(_directions(ribbons, -sin, cos), 0, -1)
     grid["mat"][..., 2] = ribbons.axes[:, None, :, 2]
     grid["size"][..., 0] = _THICKNESS / 2 * radius
-    # Adjacent boxes meet at the ribbon's outer edge.
+    # Adjacent boxes meet at the outer edge of the ribbon.
     grid["size"][..., 1] = radius * (1.0 + _THICKNESS / 2) * np.tan(shape.half_angle)
     grid["size"][..., 2] = ribbons.width[:, None] / 2
 
@@ -109,7 +112,7 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
     width = widths * shape.own + wider * shape.flare
     thickness = radius * np.maximum(_HEAD_THICKNESS * grown * shape.flare, _THICKNESS)
     thickness *= shape.own > 0  # the tip is a point
-    # An arrow in the opposite direction is flipped, so that its triangles still face outward.
+    # The shape of an arrow with a negative sign is flipped, so that its triangles face outward.
     out = radius[..., None] + thickness[..., None] / 2 * (1.0, 1.0, -1.0, -1.0)
     aside = (ribbons.sign[:, None] * width)[..., None] / 2 * (1.0, -1.0, -1.0, 1.0)
     angles = _angles(ribbons, shape.rings)
@@ -124,18 +127,19 @@ def _place_heads(grid: NDArray[Any], ribbons: Ribbons, shape: RibbonShape) -> No
 
 @dataclass(frozen=True, eq=False)
 class RibbonShape:
-    """Shape shared by all round arrows with the same number of geoms.
+    """The shape that all round arrows with the same number of geoms share.
+
+    A head is the surface between rectangles (cross sections) at increasing angles.
 
     Attributes:
-        middle: angle from the tail to the center of every box, shape (b,), rad.
-        half_angle: half the angle of every box, shape (b,), rad.
-        rings: angle of every rectangle of the heads, from the barbs of a head to its tip, shape
-            (r,), rad.
-        own: factor of the ribbon's width at each rectangle, shape (r,).
-        flare: factor of a full head's protrusion at each rectangle, shape (r,).
-        triangles: indices of each triangle's corners among the 4 r corners of the rectangles,
-            counterclockwise seen from outside, shape (t, 3).
-        dark: mask (b + t,) of boxes and triangles that are dark in a striped arrow.
+        middle: angles from the tail to the center of each box, shape (b,), rad.
+        half_angle: half of the angle that each box covers, shape (b,), rad.
+        rings: angles from the tail to each rectangle of the heads, shape (r,), rad.
+        own: factor of the ribbon width at each rectangle, shape (r,).
+        flare: factor of the head protrusion at each rectangle, shape (r,).
+        triangles: indices of the corners of each triangle among the 4 r corners of the rectangles,
+            counterclockwise as seen from outside, shape (t, 3).
+        dark: mask of the boxes and triangles that are dark in a striped arrow, shape (b + t,).
     """
 
     middle: Array
@@ -157,9 +161,9 @@ def _triangles_of(heads: int, steps: int) -> int:
 
 @cache
 def ribbon_shape(budget: int) -> RibbonShape:
-    """Returns the shape of round arrows with at most `budget` geoms, which is at least six.
+    """Returns the shape of round arrows with at most `budget` geoms.
 
-    With a small budget, only the heads are drawn.
+    The budget must be at least six. With a small budget, arrows consist only of heads.
     """
     heads, steps = next(
         (heads, steps)
@@ -177,8 +181,8 @@ def ribbon_shape(budget: int) -> RibbonShape:
     is_last = np.arange(len(taper)) >= (heads - 1) * (steps + 1)
 
     # The corners of a rectangle are in this order: outside on the first and on the second side,
-    # inside on the second and on the first side. Each edge of a rectangle is connected to the next
-    # rectangle; the last one is a point.
+    # inside on the second and on the first side. Triangles connect each edge of a rectangle to the
+    # next rectangle. The last rectangle is a point.
     triangles, is_dark = [], []
     for head in range(heads):
         back = 4 * head * (steps + 1)

@@ -1,14 +1,14 @@
 """Round arrows, which rotate about their joint and show a value by direction, color and width.
 
-An arrow rotates at constant speed. For a positive torque it rotates about the joint's z axis by the
-right-hand rule. The color also shows the sign. Arrows of doubles are transparent and slightly
-smaller.
+An arrow rotates at constant speed. For a positive torque, it rotates about the z axis of the joint
+by the right-hand rule. The color also shows the sign. Arrows of doubles are transparent and
+slightly smaller.
 
 If there is a limit, the width is proportional to the square root of the value. At the limit, the
 width is `arrow_radius` times `arrow_width_scale` / 0.01. At 2 % of the limit, it is a seventh of
 this. The width is zero in the dead band and reaches the square root curve at twice the dead band.
-Without a limit, the width is `arrow_width_scale` m per unit, or equals the radius at the joint's
-`arrow_load`. Beyond the limit, the ribbon is striped.
+Without a limit, the width is `arrow_width_scale` m per unit. If `arrow_load` is known, the width
+equals the radius at this load instead. Beyond the limit, the ribbon is striped.
 
 Source: section 2.2 of the paper. Square root, dead band and stripes are additions to the paper.
 """
@@ -29,38 +29,39 @@ from .ribbons import Ribbons, draw_ribbons
 
 TURNING_SPEED = 1.6  # rad/s
 
-# Orange and blue: distinct for all common kinds of color blindness (Okabe and Ito 2008).
+# Orange and blue are distinct for all common kinds of color blindness (Okabe and Ito 2008).
 POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
-INVISIBLE_WIDTH = 0.03  # radii; narrower arrows (below 0.1 % of a torque limit) are not drawn
+# Minimum width of drawn arrows, radii. It is reached at 0.1 % of a torque limit.
+INVISIBLE_WIDTH = 0.03
 WIDEST = 1.5  # maximum width, radii
 
 STRAIGHT_LENGTH = 2.5  # length of the straight arrow of a prismatic joint, in radii
-_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # in radii, and in lengths
-DARKER = 0.4  # brightness of a straight arrow beyond its limit
-ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # bounds of the geoms of an arrow
-# Maximum number of geoms of a frame, and those reserved for legend, status, names, smart arrows.
+_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # length of the z axis in radii, and its width in lengths
+DARKER = 0.4  # brightness factor of a straight arrow beyond its limit
+ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # maximum and minimum number of geoms of an arrow
+# Maximum number of geoms of a frame, and number of geoms reserved for legend, names and the like.
 _MAX_GEOMS, _RESERVED_GEOMS = 2048, 60
 
 
 def arrow_widths(
     values: Array, limit: Array, radius: Array, width_scale: Array, dead_band: Array
 ) -> NDArray[np.float64]:
-    """Returns the width of each joint's arrow.
+    """Returns the widths of round arrows.
 
     Args:
-        values: values of the arrows, shape (N,). The sign is ignored.
-        limit: value at which an arrow has full width, shape (N,); inf if there is no limit.
+        values: values that the arrows show, shape (N,). The sign is ignored.
+        limit: values at which arrows have full width, shape (N,); inf if there is no limit.
         radius: `arrow_radius` of each joint, shape (N,), m.
         width_scale: `arrow_width_scale` of each joint, shape (N,), m per unit of the value. If
-            there is a limit, the width is scaled by the ratio to `DEFAULT_WIDTH_SCALE` instead.
+            there is a limit, its ratio to `DEFAULT_WIDTH_SCALE` scales the width instead.
         dead_band: fraction of the limit below which the width is zero, shape (N,).
 
     Returns:
-        widths, shape (N,), m. They are continuous and monotone in the value, 0 up to the dead band
-        and for NaN, and at most `WIDEST` times the radius.
+        widths, shape (N,), m. They increase continuously with the value, up to `WIDEST` times the
+        radius. They are 0 within the dead band and for NaN.
     """
     size = np.abs(values)
     size[~np.isfinite(size)] = 0.0
@@ -73,14 +74,14 @@ def arrow_widths(
 
 
 def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.float64]:
-    """Returns the widths of arrows, shape (N,), m, with 0 for arrows that are not drawn.
+    """Returns the drawn widths of the arrows of all joints, shape (N,), m.
 
-    See `arrow_widths` for `values` and `limit`.
+    The width of arrows that are not drawn is 0. `values` and `limit` are as in `arrow_widths`.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
     widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
-    # Arrows of close joints have a smaller full width, and also a smaller maximum width.
+    # Arrows of joints that are close together have a smaller full width and maximum width.
     narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
     widest = WIDEST * joints.arrow_radius * np.where(by_load, np.minimum(narrow, 1.0), 1.0)
     widths = np.minimum(widths, widest)
@@ -88,7 +89,7 @@ def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.
 
 
 class RoundArrows(Feature):
-    """Draws the round arrows of all joints of one world."""
+    """The visual feature that draws the round arrows of all joints of a world."""
 
     order = 90  # last, so that arrows are dropped first if the capacity is exceeded
 
@@ -112,7 +113,7 @@ class RoundArrows(Feature):
         joints = self.world.joints
         widths = drawn_widths(joints, values, limit)
         visible = shown.arrows & (widths > 0.0)
-        over = np.abs(values) > limit  # false for NaN
+        over = np.abs(values) > limit  # False for NaN
         rgba = np.where((values > 0)[:, None], POSITIVE_RGBA, NEGATIVE_RGBA)
         rgba[stale, :3] = GREY
         rgba[:, 3] = joints.arrow_alpha
@@ -162,14 +163,15 @@ class RoundArrows(Feature):
         index: NDArray[np.intp],
         look: tuple[Array, Array, NDArray[np.bool_], Array],
     ) -> None:
-        # Straight arrows beside the link. One geom cannot be striped; beyond the limit it is dark.
+        # Straight arrows are beside the link. Beyond the limit they are dark, because a single
+        # geom cannot be striped.
         forces, widths, over, rgba = (of_all[index] for of_all in look)
         joints = self.world.joints
         rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
         if not len(rows):
             return
         mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
-        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # a half turn about x: still a rotation
+        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # 1, or a rotation about x by 180 deg
         radius = joints.arrow_radius[index][:, None]
         length = STRAIGHT_LENGTH * radius
         centre = data.site_xpos[joints.centre_site[index]]

@@ -1,6 +1,6 @@
 """`SceneWriter`: copies the geoms of a `GeomBuffer` into an `MjvScene`.
 
-All geoms of a scene are written at once, through a structured numpy array that shares their memory.
+All geoms are written at once, through a structured NumPy array that shares memory with the scene.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from ...base.frames import Ints
 from ...robots.assemble.parts import DrawnDouble
 from .geom_buffer import GEOM, GREY, GeomBuffer
 
-GREYNESS = 0.8  # fraction of gray in the color of a stale robot
+GREYNESS = 0.8  # fraction of gray in the color of a robot without fresh data
 _POS_OFFSET = 52
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
@@ -25,11 +25,11 @@ _ALL = int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC)
 # Doubles are drawn farther from the camera by this factor, to avoid flicker (z-fighting) if their
 # surface coincides with the robot's.
 _BEHIND = 0.002
-_MORE = 16  # additional capacity for geoms that do not belong to the model
+_MORE = 16  # additional capacity for geoms that are not part of the model
 
 
 class SceneWriter:
-    """Adds decor to an `MjvScene` filled by MuJoCo."""
+    """A writer that adds arrows, axes, panels and other geoms to an `MjvScene` filled by MuJoCo."""
 
     def __init__(self, scene: mujoco.MjvScene) -> None:
         self._scene = scene
@@ -37,10 +37,10 @@ class SceneWriter:
         self._painter: _DoublePainter | None = None
 
     def add(self, buffer: GeomBuffer, *, with_text: bool = True) -> int:
-        """Appends the buffer's geoms, with or without panels and labels.
+        """Applies `mark`, and appends the geoms of a buffer, with or without panels and labels.
 
         Returns:
-            number of geoms that were dropped because they exceeded the scene's capacity.
+            number of geoms that were dropped because they exceeded the capacity of the scene.
         """
         self.mark(buffer)
         dropped = sum(self.add_double(drawn) for drawn in buffer.drawn_doubles)
@@ -50,7 +50,7 @@ class SceneWriter:
         return dropped + self._append(buffer.rows[before]) + self._append(buffer.rows[after])
 
     def mark(self, buffer: GeomBuffer) -> None:
-        """Hides, grays and fades the geoms of the model."""
+        """Hides, grays and fades geoms of the model as the masks of a buffer state."""
         scene, rows = self._scene, self._rows
         if buffer.hidden is not None:
             index = self._of_model()
@@ -69,7 +69,7 @@ class SceneWriter:
             rows["rgba"][index[factors < 1], 3] *= factors[factors < 1]
 
     def add_double(self, drawn: DrawnDouble) -> int:
-        """Appends a double that is not compiled into the model."""
+        """Appends a double that is not in the model, and returns the number of dropped geoms."""
         if self._painter is None:
             self._painter = _DoublePainter(drawn.model)
         return self._append(self._painter.rows(drawn, self._scene))
@@ -116,7 +116,7 @@ class _DoublePainter:
 
 
 def struct_view(scene: mujoco.MjvScene) -> NDArray[Any]:
-    """Returns all geoms of a scene as a structured array that shares their memory.
+    """Returns all geoms of a scene as a structured array that shares memory with the scene.
 
     The array is valid only while the scene exists.
 
@@ -140,7 +140,7 @@ def struct_view(scene: mujoco.MjvScene) -> NDArray[Any]:
 
 def _agrees(view: NDArray[Any], scene: mujoco.MjvScene, i: int) -> bool:
     before = view[i].copy()
-    # New memory is uninitialized, also after the end of a label.
+    # New memory is uninitialized, and so are the bytes after the end of a label.
     view[i] = np.zeros(1, GEOM)[0]
     marks = np.zeros(1, GEOM)
     for k, name in enumerate(GEOM.names or ()):
@@ -152,7 +152,7 @@ def _agrees(view: NDArray[Any], scene: mujoco.MjvScene, i: int) -> bool:
 
 
 def set_geom(geom: mujoco.MjvGeom, row: Any) -> None:
-    """Sets a geom from a row, field by field, independent of the memory layout."""
+    """Copies a row of type `GEOM` to a geom field by field, independent of the memory layout."""
     for name in GEOM.names or ():
         value = row[name]
         if name == "label":

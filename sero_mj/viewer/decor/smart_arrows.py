@@ -1,9 +1,9 @@
-"""Smart arrows: Cartesian forces, torques and velocities at their point of action (section 2.4).
+"""Smart arrows: Cartesian forces, torques and velocities at their point of action.
 
-The magnitude is the length of a straight arrow. A round arrow shows the magnitude by its width, and
-rotates about the vector by the right-hand rule. The legend states the scale. Magnitudes above
-`longest` are drawn with the maximum length or width. Such straight arrows are dark, and such round
-arrows are striped.
+A straight arrow shows the magnitude by its length. A round arrow shows it by its width, and rotates
+about the vector by the right-hand rule. The legend states the scale. Arrows longer or wider than
+`longest` are drawn with this size. Such straight arrows are dark, and such round arrows are
+striped. Source: section 2.4 of the paper.
 """
 
 from __future__ import annotations
@@ -24,19 +24,20 @@ from .quantities import IMPLAUSIBLE_FACTOR
 from .ribbons import Ribbons, draw_ribbons
 from .round_arrows import DARKER, TURNING_SPEED
 
-SHORTEST = 0.004  # m; shorter arrows are not drawn, since their direction is noise
-# Reference direction of `frames_along`, not close to an axis, since forces are often along an axis.
+SHORTEST = 0.004  # m; shorter arrows are not drawn, because their direction is noise
+# Reference direction of `frames_along`. It is not close to any axis, along which many forces act.
 _FROM = np.array([0.36, 0.48, 0.80])
-_START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])  # its z is _FROM
+# Rotation whose z axis is `_FROM`.
+_START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])
 _HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
 _HALF_WIDTH_OF_LENGTH = 0.045
 _HALF_WIDTHS = (0.004, 0.012)  # m
-_CLOSE = 0.02  # m; an arrow whose tip is this close to a link does not change its direction
-_MAX_GROUP = 2  # last visible group of geoms
+_CLOSE = 0.02  # m; hysteresis for arrows that would end inside a link and thus end at their point
+_MAX_GROUP = 2  # highest visible group of geoms
 
 
 class SmartArrows(Feature):
-    """Draws the smart arrows of one world, and the billboards with their values."""
+    """The visual feature that draws the smart arrows of a world and panels with their values."""
 
     order = 20
 
@@ -98,12 +99,11 @@ class _Links:
 
 
 def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the vectors of all smart arrows.
+    """Returns the vectors that smart arrows show, as received and in world coordinates.
 
     Returns:
-        components as received and in world coordinates, shape (K, 3) each, in SI units. Components
-        are NaN for no data and for values above `IMPLAUSIBLE_FACTOR` times the value of the longest
-        arrow.
+        two arrays of components, shape (K, 3) each, in SI units. Components are NaN for no data and
+        for values above `IMPLAUSIBLE_FACTOR` times the value of the longest arrow.
     """
     table = world.arrows
     components = data.userdata[table.slots]
@@ -121,12 +121,13 @@ def arrow_vectors(world: WorldView, data: mujoco.MjData) -> tuple[Array, Array]:
 def draw_smart_arrows(
     frame: Frame, world: WorldView, vectors: Array, stale: Bools, ends_there: Bools
 ) -> None:
-    """Draws every smart arrow that is shown, has data and is not too short.
+    """Draws all smart arrows that are switched on, have data and are longer than `SHORTEST`.
 
     Args:
         vectors: vectors in world coordinates, shape (K, 3), in SI units, NaN for no data.
-        stale: mask (K,) of arrows without fresh data, which are drawn in gray.
-        ends_there: mask (K,) of straight arrows that end at their point instead of starting there.
+        stale: mask of the arrows without fresh data, which are drawn in gray, shape (K,).
+        ends_there: mask of the straight arrows that end at their point of action instead of
+            starting there, shape (K,).
     """
     table, buffer, data = world.arrows, frame.buffer, frame.data
     magnitude = np.linalg.norm(vectors, axis=1)
@@ -170,7 +171,7 @@ def draw_smart_arrows(
 
 
 def drawn_sizes(world: WorldView, vectors: Array) -> Array:
-    """Returns the size of every smart arrow about its point, shape (K,), m, with 0 for no data."""
+    """Returns how far each smart arrow extends from its point of action, shape (K,), m."""
     table = world.arrows
     magnitude = np.nan_to_num(np.linalg.norm(vectors, axis=1))
     length = np.minimum(table.scale * magnitude, table.longest)
@@ -178,7 +179,7 @@ def drawn_sizes(world: WorldView, vectors: Array) -> Array:
 
 
 def frames_along(directions: Array) -> Array:
-    """Returns rotations (k, 3, 3) whose z axes are unit vectors (k, 3).
+    """Returns rotations, shape (k, 3, 3), whose z axes have the directions of k unit vectors.
 
     The rotations are continuous except at -`_FROM`, so that noise does not make an arrow jump.
     """
@@ -187,7 +188,7 @@ def frames_along(directions: Array) -> Array:
     skew = np.zeros((len(directions), 3, 3))
     skew[:, [2, 0, 1], [1, 2, 0]] = axis
     skew[:, [1, 2, 0], [2, 0, 1]] = -axis
-    # The smallest rotation from `_FROM` to the direction (Rodrigues).
+    # This is the smallest rotation from `_FROM` to the direction (Rodrigues).
     opposite = along < -1.0 + 1e-9
     rotation = np.eye(3) + skew + skew @ skew / np.where(opposite, 1.0, 1.0 + along)[:, None, None]
     rotation[opposite] = _HALF_TURN

@@ -1,4 +1,4 @@
-"""Draws items without fresh data in gray, with a label that shows the age of the data."""
+"""Draws robots and other items without fresh data in gray, with the age of the data as a label."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ NO_DATA_YET = "no data yet"
 
 @dataclass(frozen=True, eq=False)
 class _Routed:
-    """An item with routes.
+    """A robot, double, arrow or frame whose inputs have routes.
 
     Attributes:
-        ages: indices in `userdata` of the ages of the item's input sources, shape (k,).
+        ages: indices in `userdata` of the data age of each source of an input, shape (k,).
         flags: indices in `userdata` of flags that state who last set each input, shape (k,).
         stale_after: age from which data is stale, s.
         base: body at whose origin the label is shown; -1 for arrows and frames.
-        geoms: mask (ngeom,) of the item's geoms in the model.
+        geoms: mask of the geoms of the item, shape (ngeom,); None for arrows and frames.
     """
 
     name: str
@@ -45,11 +45,11 @@ class _Routed:
     geoms: NDArray[np.bool_] | None
 
 
-_Labelled = tuple[int, list[str]]  # body at whose origin a group's label is, and names of its items
+_Labelled = tuple[int, list[str]]  # body at whose origin the label of a group is, and its members
 
 
 class Staleness:
-    """Finds items without fresh data, draws them in gray, and labels them."""
+    """The detection of items without fresh data in a world, and their gray color and labels."""
 
     def __init__(self, world: WorldView) -> None:
         scene = world.scene
@@ -74,7 +74,7 @@ class Staleness:
         self._all = np.array(sorted({int(i) for item in self._routed for i in item.ages}), np.intp)
 
     def find(self, data: mujoco.MjData) -> dict[str, str]:
-        """Returns a mapping from the names of items without fresh data to messages."""
+        """Returns a message for each item without fresh data, as a mapping from item names."""
         ages = data.userdata[self._all]
         if not len(ages) or (ages.min() >= 0 and ages.max() <= self._soonest):
             return {}
@@ -93,11 +93,14 @@ class Staleness:
         return stale
 
     def joints(self, stale: dict[str, str]) -> NDArray[np.bool_]:
-        """Returns a mask (N,) of the joints of robots and doubles without fresh data."""
+        """Returns a mask of the joints of robots and doubles without fresh data, shape (N,)."""
         return stale_mask(self._owners, stale)[self._owner]
 
     def time_without_data(self, data: mujoco.MjData, stale: dict[str, str]) -> NDArray[np.float64]:
-        """Returns the time without data of each joint, shape (N,), s; inf before the first data."""
+        """Returns the time since the last data of each stale joint in seconds, shape (N,).
+
+        The time is 0 for joints with fresh data, and inf before the first data.
+        """
         of_owner = dict.fromkeys(self._owners, 0.0)
         for item in self._routed:
             if item.name in stale and item.name in of_owner:
@@ -108,7 +111,7 @@ class Staleness:
     def panels(
         self, buffer: GeomBuffer, data: mujoco.MjData, view: ImageView, stale: dict[str, str]
     ) -> list[Panels]:
-        """Grays stale robots and doubles, and returns their labels."""
+        """Marks robots and doubles without fresh data as gray, and returns their labels."""
         buffer.grey = None
         texts: dict[int, list[bytes]] = {}  # maps the base of a robot and its doubles to lines
         labels = [(item.name, item.base) for item in self._routed if item.geoms is not None]
@@ -148,15 +151,15 @@ def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
 
 
 def stale_mask(names: list[str], stale: dict[str, str]) -> NDArray[np.bool_]:
-    """Returns a mask (k,) of the names without fresh data."""
+    """Returns a mask of the named items without fresh data, shape (k,)."""
     if not stale:
         return np.zeros(len(names), bool)
     return np.array([name in stale for name in names], bool)
 
 
 def _groups_with_data(world: WorldView, routed: Collection[str]) -> dict[str, _Labelled]:
-    # Only groups that are in no other group have a label. It is at a robot that no other robot
-    # carries, if there is one. The label of doubles is below that of their robots.
+    # Only groups that are in no other group have a label. If possible, the label is at a robot that
+    # no other robot carries. The label of doubles is below that of their robots.
     found: dict[str, _Labelled] = {}
     for group, robots in world.scene.membership.members.items():
         names = [name for name in robots if name in world.robots]

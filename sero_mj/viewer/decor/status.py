@@ -25,12 +25,12 @@ from .quantities import implausible_torques
 from .toggles import Toggles
 
 FAULT_RGBA = (0.32, 0.03, 0.03, 0.88)
-_MARGIN = 0.5  # fraction of a line's height
+_MARGIN = 0.5  # distance from the image border, fraction of the line height
 
 
 SourceState = namedtuple("SourceState", SOURCE_FIELDS)  # type: ignore[misc]
-_MAX_MORE = 3  # lines
-_MAX_AWAITED = 3  # sources
+_MAX_MORE = 3  # maximum number of lines about implausible values
+_MAX_AWAITED = 3  # maximum number of silent sources that are shown
 _FEW_LINES = 20  # image height in lines below which panels have only one line
 SHOWN_FOR = 5.0  # time for which a malformed or lost packet is shown, s
 
@@ -48,17 +48,17 @@ def _source_faults(name: str, state: Any, source: Source | None) -> list[str]:
             expected = f"{bytes_}, expected {state.size:.0f}"
             lines.append(f"  invalid {message}, {bytes_}" if message else f"  {expected}")
         if state.not_frames:
-            lines.append("  a matrix that is not a frame")
+            lines.append("  a received matrix is not a frame")
         if state.wrong_constant:
             lines.append("  wrong constant: another kind of packet")
         if state.wrong_checksum:
             lines.append("  wrong checksum: corrupted packet")
         if state.implausible:
-            lines.append("  implausible values")
+            lines.append("  some values are implausible")
         explained = state.wrong_size + state.not_frames + state.wrong_constant
         explained += state.wrong_checksum + state.implausible
         if state.malformed > explained:
-            lines.append("  NaN or infinity")
+            lines.append("  some values are NaN or infinite")
     return lines
 
 
@@ -107,13 +107,13 @@ def _sources(world: WorldView) -> dict[str, Source]:
     for name, declared in world.scene.sources.items():
         with suppress(SeroError):
             source = make_source(name, declared)
-            _ = source.original  # raises errors of its file
+            _ = source.original  # raises if the file of the source has errors
             sources[name] = source
     return sources
 
 
 class Status(Feature):
-    """Shows errors of sources. For a source that has sent nothing, shows the expected packets."""
+    """The visual feature that shows errors of sources, and expected packets of silent sources."""
 
     order = 50
 
@@ -175,7 +175,7 @@ class Status(Feature):
     def panels(
         self, data: mujoco.MjData, toggles: Toggles, view: ImageView, more: Sequence[str] = ()
     ) -> Panels | None:
-        """Returns the panel in the upper left corner, or None if there are no errors."""
+        """Returns the panel with the errors of sources and the lines `more`, or None if empty."""
         lines = [*more[:_MAX_MORE]]
         for name, slot in self._slots:
             state, source = SourceState(*data.userdata[slot]), self._sources.get(name)

@@ -1,4 +1,4 @@
-"""`Toggles`: switches of the shown features for each robot, joint, frame and arrow."""
+"""`Toggles`: switches that show or hide features of each robot, joint, frame and arrow."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PART_NAMES = ("nothing", "bodies", "joints", "geoms")
 
 @dataclass(frozen=True, eq=False)
 class ShownItems:
-    """Masks of the items that are drawn in one frame: switched on and with a pose."""
+    """Masks of the items that are drawn in one frame, because they are on and have a pose."""
 
     joints: Bools
     arrows: Bools
@@ -34,10 +34,10 @@ class ShownItems:
 
 @dataclass(frozen=True, eq=False)
 class Handles:
-    """Handles to drag a frame, see `handles.py`.
+    """The state of the handles with which a user drags a frame.
 
     Attributes:
-        pose: T_world_frame, shape (4, 4), m; None for a mark without handles.
+        pose: pose of the handles, T_world_frame, shape (4, 4), m; None to show only the mark.
         lit: index of the handle under the pointer in `handles.HANDLE_NAMES`; -1 for none.
         mark: target and actual position of the frame, shape (2, 3), m; None if they coincide.
     """
@@ -48,23 +48,27 @@ class Handles:
 
 
 class Toggles:
-    """Switches of features, which initially have declared values. Users and packets change them.
+    """The switches of all visual features of a world, which users and packets change.
+
+    Initially, the switches have the values that the scene declares.
 
     Attributes:
-        arrow_quantity: index of each joint's arrow quantity in `ARROW_QUANTITIES`, shape (N,).
-        clicked: mask (N,) of joints whose billboards have priority if there is no room for all.
+        arrow_quantity: quantity that the arrow of each joint shows, as an index of
+            `ARROW_QUANTITIES`, shape (N,).
+        clicked: mask of joints whose billboards have priority if there is no room for all, shape
+            (N,).
         contacts: whether contact points of geoms are shown, with forces if they are known.
-        inertias: whether a box with the mass and inertia of every link is shown.
-        joint_axes: whether MuJoCo draws the joints of the model.
+        inertias: whether a box with the mass and inertia of each link is shown.
+        joint_axes: whether the joint axes of the model are shown.
         centres_of_mass: whether the centers of mass of all independently moving parts are shown.
         part_names: kind of parts whose names are shown, as an index of `PART_NAMES`.
         transparent: whether moving parts are transparent.
         wireframe: whether surfaces are drawn as the edges of their triangles.
-        hover: text beside the pointer, and the pointer's position in pixels; None for no text.
-        selected: index of the highlighted joint that a user has selected; None for no joint.
+        hover: text beside the pointer, and position of the pointer in pixels; None for no text.
+        selected: index of the joint that a user has selected; None for no joint.
         handles: handles to drag a frame; None for no handles.
-        modelled: mask (N,) of joints whose torque is the model's gravity torque. `reset` does not
-            change it, because it is not a switch.
+        modelled: mask of joints whose torques are gravity torques of the model, shape (N,). `reset`
+            does not change it, because it is not a switch.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -79,7 +83,7 @@ class Toggles:
             doubles.index(name) if isinstance(part, DoublePart) else -1
             for name, part in world.owners.items()
         ]
-        of_owner = np.array([*owners, -1], np.intp)  # the last entry is for frames without owner
+        of_owner = np.array([*owners, -1], np.intp)  # the last entry is for frames of no robot
         self._double_of_joint = of_owner[world.joints.owner]
         self._double_of_frame = of_owner[world.frames.owner]
         switches = [item for item in world.inputs.values() if item.kind == "toggle"]
@@ -114,7 +118,7 @@ class Toggles:
         self.contacts = self.inertias = self.joint_axes = self.centres_of_mass = False
         self.transparent = self.wireframe = False
         self.part_names = 0
-        self._last = np.full(len(self._switches), np.nan)  # routed toggles keep their value
+        self._last = np.full(len(self._switches), np.nan)  # received toggles are applied again
 
     def snapshot(self) -> dict[str, Any]:
         state = {key: value for key, value in vars(self).items() if not key.startswith("_")}
@@ -124,10 +128,10 @@ class Toggles:
         vars(self).update(copy.deepcopy(snapshot))
 
     def apply_inputs(self, data: mujoco.MjData) -> None:
-        """Applies toggles that packets have changed.
+        """Sets the switches whose inputs have changed since the last call.
 
-        Only changes of an input have an effect, so that users can click in between. A value above
-        0.5 is on; NaN is ignored.
+        Unchanged inputs have no effect, so that users can change the same switches. A value above
+        0.5 switches a feature on. NaN is ignored.
         """
         userdata = data.userdata
         if not userdata[self._switch_flags].any():
@@ -161,7 +165,7 @@ class Toggles:
             feature[world.owners[item.name].joints] = on
 
     def shown(self, data: mujoco.MjData) -> ShownItems:
-        """Returns the items to draw. Doubles without data and frames not received have no pose."""
+        """Returns the items to draw, without doubles and frames that have not received a pose."""
         has = data.userdata[self._world.frames.has] > 0
         frames = has | (self._world.frames.has < 0)
         joints = np.ones(len(self.arrows), bool)

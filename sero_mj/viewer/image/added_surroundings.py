@@ -1,9 +1,9 @@
-"""`AddedSurroundings`: a floor, sky and lights around a model that has none.
+"""`AddedSurroundings`: a floor, a sky and lights for models without them.
 
-MuJoCo's classic renderer draws an `MjvScene` with the textures and meshes of an `MjrContext`. Both
-are created from the same model. The surroundings are a separate model, laid out by MuJoCo for the
-same camera: its lights and floor are copied into the scene, and its textures into the context. The
-user's model and data are not changed. Filament has no such context and renders both models.
+The classic renderer of MuJoCo draws an `MjvScene` with the textures and meshes of an `MjrContext`.
+Both are created from the same model. The surroundings are a separate model. Its lights and floor
+are copied into the scene, and its textures into the context, so that the model and the data of the
+user do not change. Filament has no such context and renders both models.
 """
 
 from __future__ import annotations
@@ -23,13 +23,13 @@ _MAX_GEOMS = 4
 def added_surroundings(
     world: WorldView, context: mujoco.MjrContext | None
 ) -> AddedSurroundings | None:
-    """Returns the surroundings added to every frame, or None if the world has its own."""
+    """Returns the surroundings that are added to each frame, or None if the world has its own."""
     own = world.surroundings()
     return None if own is None else AddedSurroundings(own, world.model, context)
 
 
 class AddedSurroundings:
-    """A floor, sky and lights that are added to a scene."""
+    """A floor, a sky and lights, which `add` copies into an `MjvScene` before it is rendered."""
 
     def __init__(
         self, own: mujoco.MjModel, model: mujoco.MjModel, context: mujoco.MjrContext | None
@@ -55,7 +55,7 @@ class AddedSurroundings:
         for geom in own.geoms[: min(own.ngeom, scene.maxgeom - scene.ngeom)]:
             floor = scene.geoms[scene.ngeom]
             _copy(geom, floor)
-            # Without this, clicks would select the shown model's geom with the same number.
+            # Without this, clicks would select the geom of the shown model with the same number.
             floor.objtype, floor.objid, floor.matid = _UNKNOWN, -1, self._material
             scene.ngeom += 1
 

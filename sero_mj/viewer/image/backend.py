@@ -1,7 +1,8 @@
 """Selects the OpenGL backend for rendering without a window.
 
-MuJoCo reads the backend from `MUJOCO_GL` when it is imported. No graphics driver is loaded before
-the first image: Mesa's driver loads LLVM, which ends the process if torch loads another LLVM.
+MuJoCo reads the backend from `MUJOCO_GL` when it is imported. The graphics driver is loaded only
+for the first image, because the Mesa driver loads LLVM. If PyTorch loads another version of LLVM,
+the process ends.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ _NEEDS = {
     "osmesa": "needs libOSMesa, which is not installed",
 }
 _LAZY = ("egl", "osmesa")
-# Folders in which drivers are registered with libglvnd's EGL.
+# Folders in which drivers are registered for the EGL library of libglvnd.
 _EGL_DRIVERS = (Path("/etc/glvnd/egl_vendor.d"), Path("/usr/share/glvnd/egl_vendor.d"))
 
 
@@ -41,7 +42,7 @@ def choose_backend() -> str | None:
     """Sets `MUJOCO_GL` to a backend that should work, unless the user has set it.
 
     Returns:
-        the selected backend, or None for MuJoCo's default (macOS, Windows).
+        name of the backend, or None for the default of MuJoCo (macOS and Windows).
     """
     backend = os.environ.get("MUJOCO_GL")
     if "mujoco" in sys.modules or sys.platform != "linux":
@@ -63,10 +64,10 @@ def check_backend() -> None:
 
 
 def backend_problem() -> str:
-    """Returns the reason why the backend cannot render, and a remedy, or an empty string."""
+    """Returns why the selected backend cannot render, with a remedy; empty if it can render."""
     chosen = os.environ.get("MUJOCO_GL", "")
     name = chosen.lower().strip()
-    if sys.platform != "linux" or not name:  # unset: MuJoCo was imported first, see `adopt_backend`
+    if sys.platform != "linux" or not name:  # without a name, `adopt_backend` selects the backend
         return ""
     usable = {"egl": has_egl(), "osmesa": has_osmesa(), "glfw": has_display()}
     if name in _DISABLED:
@@ -81,11 +82,11 @@ def backend_problem() -> str:
 
 
 class _LazyBackend(types.ModuleType):
-    """Placeholder for `mujoco.egl` or `mujoco.osmesa` until a context is created.
+    """Placeholder for the module `mujoco.egl` or `mujoco.osmesa` until a context is created.
 
-    MuJoCo 4.0.0 imports that module together with `mujoco`. The import of `mujoco.egl` queries the
-    EGL devices, which loads the driver with Mesa 25 (Debian 13). If libOSMesa is missing,
-    `mujoco.osmesa` cannot be imported, and even commands that draw nothing would fail.
+    MuJoCo 4.0.0 imports one of these modules together with `mujoco`. The import of `mujoco.egl`
+    queries the EGL devices, and Mesa 25 (Debian 13) then loads the driver. If libOSMesa is missing,
+    `mujoco.osmesa` cannot be imported, so that even commands that draw nothing would fail.
     """
 
     def __getattr__(self, name: str) -> Any:
@@ -134,19 +135,19 @@ def _make_context(module: str, *size: int) -> Any:
 
 
 def adopt_backend() -> None:
-    """Changes MuJoCo's backend to one that needs no display, if there is no display.
+    """Changes the backend of MuJoCo to one that needs no display, if there is no display.
 
-    Call this before the first image. If mujoco is imported before sero_mj on a server, it uses the
-    GLFW backend, which cannot work there. A `MUJOCO_GL` set by the user is not changed.
+    Call this before the first image. If mujoco is imported before sero_mj on a server, it selects
+    the GLFW backend, which needs a display. If the user has set `MUJOCO_GL`, nothing changes.
 
-    After an attempt with that backend, MuJoCo 4.0.0 would end the process (status 134) at the next
-    image. In this case, every image raises a RenderError instead.
+    If an image with the GLFW backend has already failed, MuJoCo 4.0.0 would end the process (status
+    134) at the next image. In this case, each image raises a RenderError instead.
     """
     if os.environ.get("MUJOCO_GL") or has_display() or _headless_backend() != "egl":
         return
     from mujoco.rendering.classic import gl_context
 
-    # MuJoCo 4.0.0 has no public function for this; `Renderer` reads this name for every context.
+    # MuJoCo 4.0.0 has no public function for this. `Renderer` reads this name for each context.
     if gl_context.GLContext is not _refuse_context:
         make = partial(_make_context, "mujoco.egl")
         gl_context.GLContext = _refuse_context if _has_glfw_failed() else make
@@ -168,19 +169,19 @@ def _refuse_context(*_: int) -> None:
 
 
 def has_display() -> bool:
-    """Returns whether there is a display for windows."""
+    """Returns whether a display is available, so that windows can be opened."""
     if sys.platform != "linux":
         return True
     return bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 def _headless_backend() -> str:
-    # EGL is the default if neither is installed, so that errors refer to it.
+    # EGL is the default if no backend is installed, so that errors refer to EGL.
     return "osmesa" if not has_egl() and has_osmesa() else "egl"
 
 
 def has_egl() -> bool:
-    """Returns whether EGL, OpenGL and a driver are installed. `check` tests whether they work."""
+    """Returns whether EGL, OpenGL and a driver are installed, without testing whether they work."""
     libraries = _libraries()
     # PyOpenGL loads GL functions from one of these two libraries.
     has_gl = "libOpenGL.so.0" in libraries or "libGL.so.1" in libraries
@@ -212,4 +213,4 @@ def _libraries() -> dict[str, str]:
     except OSError:
         return {}
     lines = [line.split() for line in listing.splitlines()[1:] if line.strip()]
-    return {words[0]: words[-1] for words in reversed(lines)}  # the first entry of a name wins
+    return {words[0]: words[-1] for words in reversed(lines)}  # first entry if a name is repeated

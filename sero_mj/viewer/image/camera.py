@@ -15,25 +15,24 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.mounts import carrier
 from .framing import MARGIN, Framing, axes, bounding_sphere, declared_data
 
-_DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the window's height
+_DEGREES_PER_HEIGHT = 180.0  # rotation by a drag over the height of the window
 _STEEPEST_DEG = 89.0
 _PER_NOTCH = 0.9  # factor of the distance for one step of the wheel
 _NEAREST, _FARTHEST = 0.02, 500.0  # m
-_MAX_NUMBER = 1e6  # maximum of the numbers that describe a camera
+_MAX_NUMBER = 1e6  # maximum magnitude of the numbers that describe a camera
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 _EXPECTED = (
-    "a name or azimuth,elevation,distance (degrees, degrees, m above 0) and optionally the look-at "
-    "point ,x,y,z (m), for example 150,-15,2.2"
+    "the name of a camera, or azimuth,elevation,distance (degrees, degrees, m above 0), optionally "
+    "followed by the look-at point ,x,y,z (m), for example 150,-15,2.2"
 )
 
 
 def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera:
-    """Returns a camera for rendering.
+    """Returns the camera with a name or pose, or the camera that the scene declares.
 
     Args:
         wanted: name of a camera, or `azimuth,elevation,distance` (degrees, degrees, m), optionally
-            followed by the look-at point `,x,y,z` (m) (default: the scene's `view`). For narrow
-            images, the camera is moved back, see `needed_aspect`.
+            followed by the look-at point `,x,y,z` (m) (default: the `view` of the scene).
 
     Raises:
         UsageError: `wanted` is neither a camera name nor three or six numbers, or the distance is
@@ -66,7 +65,7 @@ def find_camera(world: WorldView, wanted: str | None = None) -> mujoco.MjvCamera
 
 
 def list_cameras(world: WorldView) -> list[str]:
-    """Returns the names of the world's cameras, including those of MJCF objects."""
+    """Returns the names of the cameras in a world, including those of MJCF objects."""
     return [world.model.camera(i).name for i in range(world.model.ncam)]
 
 
@@ -83,12 +82,12 @@ def _numbers(text: str) -> list[float]:
 
 
 class Navigator:
-    """A camera that the user moves.
+    """The camera of a window or page, which the user moves.
 
-    Drags are in units of the window's height, so that their effect does not depend on its size.
+    Drags are in units of the window height, so that their effect does not depend on the size.
 
     Attributes:
-        following: name of the robot, group or frame that the camera follows, or None.
+        following: name of the robot, group or frame that the camera follows; None for none.
     """
 
     def __init__(self, world: WorldView, wanted: str | None = None) -> None:
@@ -100,10 +99,9 @@ class Navigator:
         self._follow_as_declared()
 
     def hold(self, poses: Iterator[mujoco.MjData], size: tuple[int, int]) -> None:
-        """Moves the initial view so that the robots are visible in all given poses.
+        """Moves the initial view so that the robots are visible in all poses, as `Framing.hold`.
 
-        Nothing happens if the camera follows something or if there are no poses. See
-        `Framing.hold`.
+        The view does not change if the camera follows a robot or if there are no poses.
         """
         if self.following is not None or (first := next(poses, None)) is None:
             return
@@ -135,7 +133,7 @@ class Navigator:
         )
 
     def pan(self, right: float, down: float, tan_half_fovy: float, depth: float) -> None:
-        """Moves the camera parallel to the image, so that the look-at point follows the pointer.
+        """Moves the camera parallel to the image, so that points at a depth follow the pointer.
 
         `tan_half_fovy` is the tangent of half the vertical field of view.
         """
@@ -145,7 +143,7 @@ class Navigator:
         camera.lookat = camera.lookat + height * (down * to_up - right * to_right)
 
     def zoom(self, notches: float) -> None:
-        """Multiplies the distance by a factor for each step of the mouse wheel."""
+        """Multiplies the camera distance by 0.9 for each step (notch) of the mouse wheel."""
         distance = self.camera.distance * _PER_NOTCH ** np.clip(notches, -100.0, 100.0)
         self.camera.distance = float(np.clip(distance, _NEAREST, _FARTHEST))
 
@@ -160,7 +158,7 @@ class Navigator:
         self.camera.lookat = position + self.camera.distance * forward
 
     def choose(self, number: int) -> str:
-        """Selects a camera by its number, starting at 1. 0 selects the view of the scene."""
+        """Selects a camera by its number from 1 on, or the initial view by 0; returns a message."""
         names = list_cameras(self._world)
         if number == 0:
             self.camera = find_camera(self._world, self._start)
@@ -180,10 +178,10 @@ class Navigator:
         return f"camera {names[number - 1]}"
 
     def follow(self, data: mujoco.MjData, frame: str | None) -> str:
-        """Starts following a robot, group or frame.
+        """Starts or stops following a robot, group or frame, and returns a message.
 
-        Stops following if `frame` is None or is already followed. Raises UnknownName if there is no
-        robot, group or frame with this name.
+        The camera stops following if `frame` is None or is already followed. Raises UnknownName if
+        there is no robot, group or frame with this name.
         """
         if frame is None or frame == self.following:
             self.following = None
@@ -193,23 +191,26 @@ class Navigator:
         return f"follows {frame}"
 
     def advance(self, data: mujoco.MjData) -> None:
-        """Moves the camera with the robot, group or frame that it follows, see `Follower`.
+        """Moves the camera for the next frame.
 
-        Until the user moves the camera, it also moves back if robots leave the image.
+        The camera moves with the robot, group or frame that it follows. If it follows none and the
+        user has not moved it, it moves back when robots leave the image.
         """
         if self.following is None or self._follower is None:
             self._framing.fit(self.camera, data)
             return
-        # The camera moves in real time, so that it also arrives while a timeline is paused.
+        # The camera moves in real time, so that it also reaches the target on a paused timeline.
         moved = self._follower.displacement(data, time.monotonic())
         if self.camera.type == _FREE:
             self.camera.lookat = self.camera.lookat + moved
 
 
 def followed(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> str | None:
-    """Returns the name that a camera follows: `wanted`, or else the setting of the scene's view.
+    """Returns the name of the robot, group or frame that a camera follows, or None.
 
-    A fixed camera ignores the setting of the view.
+    Args:
+        wanted: requested name (default: the name in the `view` of the scene, which fixed cameras
+            ignore).
 
     Raises:
         UsageError: `wanted` is set, but the camera is fixed.
@@ -237,9 +238,9 @@ _JUMP = 1.0  # s; after longer steps, or steps back in time, the camera moves im
 
 
 def roots(world: WorldView, name: str) -> list[str]:
-    """Returns the robots with a robot or group name that no other robot of the group carries.
+    """Returns the robots of a group that no other robot of the group carries.
 
-    Returns an empty list for other names.
+    A robot name is treated as a group of one robot. The list is empty for other names.
     """
     members = world.scene.members(name) or [name]
     robots = {each: world.robots[each].robot for each in members if each in world.robots}
@@ -247,12 +248,12 @@ def roots(world: WorldView, name: str) -> list[str]:
 
 
 class Follower:
-    """Computes the motion of a camera that follows a target, with a first-order low-pass filter.
+    """The motion of a camera that follows a robot, group or frame with a low-pass filter.
 
     If time stops or jumps, the camera moves immediately.
 
     Args:
-        name: a robot or group whose bases are followed, or a frame such as `lwr/flange`.
+        name: name of a robot or group, whose bases are followed, or of a frame.
 
     Raises:
         UnknownName: there is no robot, group or frame with this name.

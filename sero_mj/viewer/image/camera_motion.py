@@ -1,4 +1,4 @@
-"""Cameras that move in videos: turntables, and paths through key frames."""
+"""Camera motion in videos: turntables, and paths through key frames."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ from ...base.errors import DeclarationError, Problem, problems_of
 from ...base.frames import Array
 from ...base.toml_file import located, read_toml
 
-# Moves a free camera to its pose at a time of the video, s.
+# Function that moves a free camera to its pose at a time of the video in seconds.
 CameraMotion = Callable[[mujoco.MjvCamera, float], None]
 
-_EXPECTED = "tables [[keys]] with time and azimuth_deg, elevation_deg, distance or look_at"
+_EXPECTED = "tables [[keys]] with time and with azimuth_deg, elevation_deg, distance or look_at"
 _MAX_KEYS = 10_000
 
 
 class CameraKey(Declaration):
-    """Pose of the camera at one time of a video.
+    """A key frame: the pose of the camera at one time of a video.
 
     Missing values are interpolated between other keys. Values that no key declares are those of the
     view.
 
     Attributes:
         time: time since the start of the video, s.
-        azimuth_deg: viewing direction about the vertical; 90 looks along +y.
-        elevation_deg: viewing direction above the horizontal; negative looks down.
+        azimuth_deg: viewing direction about the vertical axis; 90 is the direction of +y.
+        elevation_deg: viewing direction above the horizontal plane; negative values look down.
         distance: distance from the look-at point, m.
         look_at: point at the center of the image, m.
     """
@@ -45,10 +45,10 @@ class CameraKey(Declaration):
 
 
 class CameraPath:
-    """A smooth path of a camera through keys, which starts and ends at rest.
+    """A smooth camera path through key frames, which starts and ends at rest.
 
     Before the first key, the camera has the pose of the first key. After the last key, it has the
-    pose of the last key. Between two keys it rotates by at most 180 degrees.
+    pose of the last key. Between two keys, it rotates by at most 180 degrees.
 
     Raises:
         DeclarationError: there is no key, or the times of the keys do not increase.
@@ -75,17 +75,17 @@ class CameraPath:
         self.has_look_at = "look_at" in self._fields
 
     def __call__(self, camera: mujoco.MjvCamera, time: float) -> None:
-        """Moves a free camera to its pose at a time of the video, s."""
+        """Moves a free camera to its pose at a time of the video in seconds."""
         for field, (times, values) in self._fields.items():
             found = monotone_cubic(times, values, time)
             setattr(camera, field.removesuffix("_deg").replace("look_at", "lookat"), found)
 
 
 def read_camera_path(path: Path) -> CameraPath:
-    """Reads a camera path from the tables `[[keys]]` of a TOML file, with fields of `CameraKey`.
+    """Reads a camera path from the tables `[[keys]]` (`CameraKey`) of a TOML file.
 
     Raises:
-        DeclarationError: all errors of the file, with their lines.
+        DeclarationError: the file is invalid. The error lists all problems with their lines.
     """
     tables = read_toml(path)
     problems = [
@@ -114,10 +114,12 @@ def read_camera_path(path: Path) -> CameraPath:
 
 
 def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMotion:
-    """Returns a camera motion about the look-at point, at constant speed, from the current pose.
+    """Returns a camera motion that rotates about the look-at point at constant speed.
 
     Args:
-        degrees: total increase of the azimuth after `duration`; negative for the other direction.
+        camera: camera in its initial pose.
+        degrees: increase of the azimuth over the video; negative for the other direction.
+        duration: duration of the video, s.
     """
     start = float(camera.azimuth)
 
@@ -128,12 +130,11 @@ def orbit(camera: mujoco.MjvCamera, degrees: float, duration: float) -> CameraMo
 
 
 def monotone_cubic(times: Array, values: Array, at: float) -> Array:
-    """Interpolates with cubic polynomials that do not overshoot, with slopes of 0 at both ends.
+    """Interpolates values with cubic polynomials that do not overshoot.
 
-    Outside of `times`, returns the first or last value.
-
-    Source: Fritsch and Butland, "A method for constructing local monotone piecewise cubic
-    interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984.
+    The slope is 0 at the first and at the last time. Outside of `times`, this returns the first or
+    last value. Source: Fritsch and Butland, "A method for constructing local monotone piecewise
+    cubic interpolants", SIAM J. Sci. Stat. Comput. 5(2), 1984.
     """
     if len(times) == 1 or at <= times[0]:
         return np.asarray(values[0])

@@ -1,6 +1,6 @@
-"""Effects of clicks, double clicks, Shift+clicks, and of the keys that switch features.
+"""Actions of clicks, double clicks and Shift+clicks, and of the keys that switch features.
 
-Windows, pages and images use the same tables, and the help is generated from them. `picking.pick`
+Windows, pages and images use the same tables, from which the help is generated. `picking.pick`
 finds the item at a pixel.
 """
 
@@ -94,7 +94,7 @@ def _do_nothing(world: WorldView, toggles: Toggles, picked: Picked) -> None: ...
 
 
 _BILLBOARD = ("billboards", "details")
-# Description and action by gesture and kind of item.
+# Mapping from gesture and kind of item to the description and the action.
 CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("click", "link"): ("billboards of the joint or limb on or off", _flip_limb),
     ("shift", "link"): ("all billboards of the robot on or off", _flip("billboards", _joints)),
@@ -116,10 +116,8 @@ CLICKS: dict[tuple[Gesture, str], tuple[str, Action]] = {
     ("click", "limb"): ("shows one billboard for each joint", _open_limb),
     ("shift", "limb"): ("hides the billboard", _hide(_BILLBOARD, _card_limb)),
     ("click", "check"): ("hides the comparison of flange frames", _hide_checks),
-    ("double", "object"): (
-        "centers the view on the object",
-        _do_nothing,
-    ),  # the window or page does it
+    # The window or page centers the view.
+    ("double", "object"): ("centers the view on the object", _do_nothing),
 }
 # Clicks on transparent doubles have the same effect as clicks on robots.
 CLICKS |= {
@@ -130,7 +128,7 @@ CLICKS |= {
 def click(
     world: WorldView, toggles: Toggles, picked: Picked | None, gesture: Gesture = "click"
 ) -> bool:
-    """Performs the action of a gesture on an item, see `CLICKS`; returns whether it has an action.
+    """Performs the action of a gesture on an item (`CLICKS`), and returns whether it has an action.
 
     A double click on the background resets the toggles to those of the scene.
     """
@@ -149,7 +147,12 @@ def click(
 
 
 def hover(toggles: Toggles, picked: Picked | None, pixel: Pixel) -> None:
-    """Shows the name of the item under the pointer from the next frame on."""
+    """Shows the name of the item under the pointer, from the next frame on.
+
+    Args:
+        picked: item under the pointer, or None.
+        pixel: position of the pointer.
+    """
     # A billboard already shows its name, and the label would hide its values.
     name = "" if picked is None or picked.kind in ("billboard", "limb") else picked.own_name
     toggles.hover = (name, pixel) if name else None
@@ -170,7 +173,7 @@ def _toggle(name: str) -> Callable[[Toggles], None]:
     return toggle
 
 
-# Field of `Toggles` and its description, by key.
+# Mapping from keys to a field of `Toggles` and its description.
 SWITCHES: dict[str, tuple[str, str]] = {
     "a": ("arrows", "arrows"),
     "b": ("billboards", "billboards"),
@@ -189,10 +192,10 @@ def _toggle_keys(keys: str) -> dict[str, KeyAction]:
     return {key: (f"{SWITCHES[key][1]} on or off", _toggle(SWITCHES[key][0])) for key in keys}
 
 
-# Description and action by key.
+# Mapping from keys to their description and action.
 KEYS: dict[str, KeyAction] = {
     **_toggle_keys("abx"),
-    "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles a single one
+    "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles one name
     "q": ("next quantity for all arrows", _next_quantity),
     **_toggle_keys("dvcls"),
     "r": ("reset to the declared values", Toggles.reset),

@@ -1,4 +1,4 @@
-"""Computes the camera distance at which all robots are in an image with a given aspect ratio."""
+"""Computes the camera distance at which all robots are in the image."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from ...robots.assemble.solids import geom_boxes, geom_corners
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.double import OUT_OF_SIGHT
 
-MARGIN = 1.12  # factor of the distance
+MARGIN = 1.12  # factor of the camera distance that leaves a margin around the robots
 _WIDEST = 4 / 3  # aspect ratio above which cameras are not moved back for a sphere
-_DECLARED_FOR = 1.6  # aspect ratio of images for which scenes declare their view
+_DECLARED_FOR = 1.6  # aspect ratio of the images for which scenes declare their view
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 
 
 def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]:
-    """Returns the unit vectors forward, right and up (3,) of a free camera."""
+    """Returns the unit vectors forward, right and up of a free camera, shape (3,) each."""
     azimuth, elevation = np.deg2rad([azimuth_deg, elevation_deg])
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
     forward = np.array([ca * ce, sa * ce, se])
@@ -33,15 +33,15 @@ def axes(azimuth_deg: float, elevation_deg: float) -> tuple[Array, Array, Array]
 
 
 def bounding_sphere(world: WorldView) -> tuple[Array, float]:
-    """Returns the center (3,) and radius, in m, of a sphere about the scene without its floor.
+    """Returns the center (3,) and radius, in m, of a sphere around the scene without its floor.
 
-    Objects that a route attaches to a robot's flange are placed at the flange.
+    Objects that a route attaches to the flange of a robot are placed at the flange.
     """
     return _sphere(*_boxes(world, declared_data(world)))
 
 
 def declared_data(world: WorldView) -> mujoco.MjData:
-    """Returns data of the declared pose, with objects that routes attach to robots in place."""
+    """Returns the declared state of a world. Objects are where routes attach them to robots."""
     data = world.make_data()
     if world.scene.routes:
         # Invalid routes are reported when they are connected.
@@ -72,13 +72,12 @@ def _tan_half_fovy(world: WorldView) -> float:
 
 
 class Framing:
-    """Moves a camera back if received data moves robots out of the image of the declared pose.
+    """Moves a camera back so that robots stay in the image if received data moves them out of it.
 
-    The data of a mirrored robot can place the robot anywhere. `fit` acts when a coordinate or base
-    position first differs from its declared value, so that the camera does not move with a robot
-    that is in the image. It stops as soon as the user moves the camera, and never moves a camera
-    placed by the scene or the user. `hold` is for poses that are known before the first image. It
-    does not move a camera placed by the user.
+    `fit` is called for each frame. It may move the camera only when a joint or base leaves its
+    declared position for the first time, so that the camera does not move with robots that are in
+    the image. It never moves a camera that the scene or the user has placed. `hold` is for poses
+    that are known before the first image. It does not move a camera that the user has placed.
     """
 
     def __init__(
@@ -96,7 +95,7 @@ class Framing:
         self._moved = np.zeros(world.model.nq + len(self._bases), bool)
 
     def fit(self, camera: mujoco.MjvCamera, data: mujoco.MjData) -> None:
-        """Moves the camera if robots have left the image in the current state."""
+        """Moves the camera back if robots have left the image in the current state."""
         if not self._acts:
             return
         at = (each.mocap_pos[self._bases] for each in (data, self._declared))
@@ -114,7 +113,7 @@ class Framing:
         farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
         if not (np.linalg.norm(farthest, axis=1) > radius).any():
             return
-        if not bases_moved.any():  # otherwise the declared poses do not matter
+        if not bases_moved.any():  # the declared poses matter only if all bases are in place
             declared = _boxes(self._world, self._declared)
             lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
         centre, radius = _sphere(lows, highs)
@@ -128,10 +127,13 @@ class Framing:
         size: tuple[int, int],
         turns: Sequence[float] = (0.0,),
     ) -> None:
-        """Moves the camera so that robots and doubles are in the image in all given poses.
+        """Moves the camera so that robots and doubles are in the image in all poses.
 
-        Parts that are outside of the view in the declared pose may stay outside. Nothing changes if
-        everything else is in the image, or if the user has placed the camera.
+        Parts that are outside of the image in the declared pose may stay outside. Nothing changes
+        if all other parts are in the image, or if the user has placed the camera.
+
+        Args:
+            turns: azimuths of the camera relative to the current azimuth, degrees.
         """
         if self._is_wanted or camera.type != _FREE or _pose(camera) != self._placed:
             return
@@ -201,12 +203,12 @@ def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
 
 
 def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> float:
-    """Returns the aspect ratio (width over height) that the image of a free camera needs.
+    """Returns the minimum aspect ratio (width over height) for which a camera pose is suitable.
 
-    The image has to contain a sphere about the declared scene without its floor. The aspect ratio
-    is at most 4/3, because a view may show only a part of the scene. In narrower images, the camera
-    is moved back. A view declared by a scene is designed for images of 1280x800, so its aspect
-    ratio also has to cover the width of the robots that are visible in such an image.
+    For narrower images, a free camera is moved back. The image must contain a sphere around the
+    declared scene without its floor. For this, the aspect ratio is at most 4/3, because a view may
+    show only a part of the scene. A view that a scene declares is designed for images of 1280x800.
+    The aspect ratio therefore also covers the robots that are visible in such an image.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)
     centre, radius = _sphere(*_boxes(world, data))
@@ -224,14 +226,14 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns the factor by which a free camera is farther away in narrow images, otherwise 1."""
+    """Returns the factor of the distance of a free camera, which is above 1 for narrow images."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 
 def stand_back(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
 ) -> None:
-    """Moves the camera of a scene back for a narrow image, see `standing_back`."""
+    """Moves the camera of a scene back if the image is too narrow (`standing_back`)."""
     back = (standing_back(width, height, needed) - 1.0) * camera.distance
     if back > 0.0 and camera.type == _FREE:
         for eye in scene.camera:

@@ -1,7 +1,7 @@
-"""`HeldTorques`: gravity torques of the joints of robots without data.
+"""`HeldTorques`: gravity torques for robots without data.
 
-If neither joint angles nor torques of a robot are received or declared, the torques that hold its
-pose are computed from the model. The legend labels them as gravity torques.
+If neither joint angles nor torques of a robot are received or declared, the torques that hold the
+robot in its pose are computed from the model. The legend labels them as gravity torques.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ log = logging.getLogger(__name__)
 
 
 class HeldTorques:
-    """Writes gravity torques into a world's state while arrows or billboards are on.
+    """Gravity torques that are shown for robots without data, while arrows or billboards are on.
 
     Attributes:
-        note: reason why no gravity torque is shown; empty if gravity torques are shown.
+        note: reason why no gravity torques are shown; empty if they are shown.
     """
 
     def __init__(self, mirror: LiveWorld, toggles: Toggles) -> None:
         self._world, self._toggles = mirror.world, toggles
         routed = {route.to.target for route in mirror.routes}
-        # Torques written for every robot, to detect changes by programs.
+        # The torques that were written for each robot are stored to detect changes by programs.
         self._written: dict[str, Array | None] = {
             name: None
             for name in unrouted(mirror)
@@ -50,10 +50,10 @@ class HeldTorques:
         return bool(data.userdata[self._world.flags[f"{name}.torques"]] > 0)
 
     def update(self, data: mujoco.MjData, *, wait: bool = True) -> None:
-        """Writes the torques of the pose if arrows or billboards show them.
+        """Writes the gravity torques of the current pose into a state, if they are shown.
 
         Args:
-            wait: whether to wait until the model is compiled. This takes a second for a robot with
+            wait: whether to wait until the model is compiled, which takes a second for a robot with
                 many meshes.
         """
         world, toggles = self._world, self._toggles
@@ -101,7 +101,7 @@ class HeldTorques:
 
 
 def unrouted(mirror: LiveWorld) -> list[str]:
-    """Returns the names of robots whose joint angles are not set by a route."""
+    """Returns the names of the robots whose joint angles no route sets."""
     routed = {route.to.target for route in mirror.routes}
     angles = {name: f"{name}.joint_angles" for name in mirror.world.robots}
     return [

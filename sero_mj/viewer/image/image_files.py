@@ -25,7 +25,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_writable(path: Path) -> None:
-    """Creates the file's folder and checks that the file can be written. Call before rendering.
+    """Checks before rendering that a file can be written, and creates its folder.
 
     Raises:
         RenderError: the file cannot be written.
@@ -39,7 +39,7 @@ def check_writable(path: Path) -> None:
 
 
 def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
-    """Writes an image in the format of the file name extension."""
+    """Writes an image to a file in the format of the file name extension."""
     check_writable(path)
     resolution: dict[str, Any] = {} if dpi is None else {"dpi": (dpi, dpi)}
     with writing_to(path):
@@ -48,7 +48,7 @@ def save_image(path: Path, pixels: Pixels, dpi: float | None = None) -> None:
 
 @contextlib.contextmanager
 def writing_to(path: Path) -> Iterator[None]:
-    """Converts OSError to a RenderError that names the final file, not the temporary one."""
+    """Converts errors in the `with` block to a RenderError that names the file to be written."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -56,7 +56,7 @@ def writing_to(path: Path) -> Iterator[None]:
 
 
 def check_video(path: Path | str) -> Path:
-    """Returns the path of a video. Raises RenderError if the file name extension is unknown."""
+    """Returns the path of a video file. Raises RenderError if its extension is unknown."""
     path = Path(path)
     if path.suffix.lower() not in VIDEO_FORMATS:
         expected = f"a name that ends in {', '.join(VIDEO_FORMATS)}"
@@ -70,10 +70,10 @@ def default_fps(path: Path | str) -> float:
 
 
 class VideoWriter:
-    """Writes an H.264, VP9 or GIF video, as a context manager.
+    """Context manager that writes frames to an H.264, VP9 or GIF video.
 
-    The video is written to a temporary file, which is renamed when it is complete. After a
-    KeyboardInterrupt, the video contains the frames written so far.
+    The video is written to a temporary file, which is renamed when the video is complete. After a
+    KeyboardInterrupt, the video contains the frames that were added before.
 
     Raises:
         RenderError: the file cannot be written, its extension is unknown, the size is too small,
@@ -148,8 +148,8 @@ class VideoWriter:
                 self._part.unlink()
 
 
-# Computes a palette of 256 colors for every frame of a GIF. A common palette would require all
-# frames before the first one is written.
+# Each frame of a GIF has its own palette of 256 colors. To compute a common palette, all frames
+# would be needed before the first one is written.
 class _Palettes:
     def __init__(self, width: int, height: int, rate: Fraction) -> None:
         import av
@@ -185,7 +185,7 @@ class _Palettes:
 
 
 class ImageArray(np.ndarray):
-    """An array with the method `save`: an image (height, width, 3), uint8, top row first.
+    """An image as an array, shape (height, width, 3), uint8, top row first.
 
     Notebooks display the array as an image. A slice that is not an image is displayed as numbers.
     """
@@ -200,7 +200,7 @@ class ImageArray(np.ndarray):
         if not self._is_image:
             found = f"{' x '.join(map(str, self.shape))} numbers of type {self.dtype}"
             raise RenderError(
-                f"cannot write {path}: found {found}; expected an image, height x width x 3"
+                f"cannot write {path}: found {found}; expected an image of height x width x 3"
             )
         save_image(Path(path), np.ascontiguousarray(self))
 

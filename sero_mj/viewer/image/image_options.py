@@ -1,4 +1,4 @@
-"""Options of images and videos, in Python and in commands, and their file name extensions."""
+"""Options of images and videos for Python and commands, and file name extensions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ Degrees = Annotated[
 ]
 Pass = Literal["colour", "segmentation", "depth"]
 Rate = Annotated[Positive, Option("N")]
-# Pixel (x, y) from the upper left corner, the gesture, and whether it is a touch.
+# Pixel (x, y) counted from the upper left corner, gesture, and whether it is a touch.
 Click = tuple[float, float, str, bool]
 Switches = Annotated[dict[str, str], BeforeValidator(_switches)]
 _GivenClick = Annotated[
@@ -59,10 +59,10 @@ class SizeOptions(Options):
 
     Attributes:
         size: width and height, pixels.
-        quality: draft: no shadows and no anti-aliasing, much faster with software OpenGL; fine:
-            for print, at 300 dots per inch, with motion blur in videos.
-        renderer: classic for OpenGL, or a renderer of an extension, see check (default: for
-            --quality fine a renderer with soft shadows if one is available, else classic).
+        quality: draft has no shadows and no anti-aliasing, which is much faster with software
+            OpenGL; fine is for print at 300 dots per inch, and adds motion blur to videos.
+        renderer: classic (OpenGL), or the name of a renderer that check lists (default: a renderer
+            with soft shadows for --quality fine if one is available, otherwise classic).
     """
 
     size: Size = DEFAULT_SIZE
@@ -74,7 +74,7 @@ class StereoOptions(Options):
     """Images for two eyes.
 
     Attributes:
-        stereo: side-by-side: half of the image for each eye; anaglyph: for red-cyan glasses.
+        stereo: side-by-side has half of the image for each eye; anaglyph is for red-cyan glasses.
         eye_distance: distance between the eyes, m; larger values exaggerate depth.
     """
 
@@ -115,12 +115,12 @@ class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
     Attributes:
         clicks: click on a pixel, counted from the upper left corner, before rendering; HOW is
             shift, double, hover or touch (with a finger); may be repeated.
-        shown: switch arrows, billboards, axes, legend, inertias, transparent, ... on or off, with
-            one digit for all items or one for each joint, frame, ...; may be repeated.
-        render_pass: write the link or object at every pixel, or the depth of every pixel, instead
-            of the image, to a .png or .npy file.
+        shown: switch arrows, billboards, axes, legend, inertias or another feature on or off, with
+            one digit for all items or one digit for each joint, frame or arrow; may be repeated.
+        render_pass: write the link or object at each pixel, or the depth of each pixel, to a .png
+            or .npy file instead of the image.
         selected: highlight a joint as if it were clicked.
-        wait: maximum time to wait for the first packet of every source, s.
+        wait: maximum time to wait for the first packet of each source, s.
     """
 
     clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
@@ -144,13 +144,13 @@ class VideoOptions(ImageOptions, MotionOptions):
 
 @dataclass(frozen=True)
 class VideoFormat:
-    """Encoding of videos with one file name extension.
+    """The encoding of video files with the same file name extension.
 
     Attributes:
-        codec: codec of FFmpeg.
-        options: options of the codec, chosen to be fast compared to rendering.
+        codec: name of the codec in FFmpeg.
+        options: options of the codec, with which encoding is fast compared to rendering.
         has_palette: whether frames are limited to 256 colors.
-        fps: default frames per second.
+        fps: default number of frames per second.
         max_fps: maximum number of frames per second that players support.
     """
 

@@ -1,7 +1,6 @@
-"""Private parts of MuJoCo that sero-mj uses, with the reason for each.
+"""Access to private parts of MuJoCo, with the reason for each.
 
-They exist in `mujoco>=4.0,<4.1`. If another version lacks one, a RenderError names the missing
-part.
+The parts exist in `mujoco>=4.0,<4.1`. If another version lacks a part, a RenderError names it.
 """
 
 from __future__ import annotations
@@ -18,7 +17,8 @@ _EXPECTED = "4.0"
 def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
     """Returns the OpenGL context of a renderer, which `mujoco.Renderer` does not expose.
 
-    Textures of drafts are uploaded into the context, and panels are laid out with its font widths.
+    Textures of draft images are uploaded to the context, and its font widths determine the layout
+    of panels.
     """
     try:
         context: mujoco.MjrContext = renderer._mjr_context
@@ -31,11 +31,11 @@ def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
 
 
 def filament() -> Any:
-    """Returns the module of MuJoCo's Filament renderer, with its materials registered.
+    """Returns the module of the Filament renderer of MuJoCo after registering its materials.
 
-    The wrapper `mujoco.rendering.filament` needs Python 3.12, so this is `mujoco.mjrf`. Importing
-    `mujoco.studio` registers the location of materials (`filament:pbr.filamat`); without it, the
-    first object ends the process.
+    This is `mujoco.mjrf`, because the wrapper `mujoco.rendering.filament` needs Python 3.12. The
+    import of `mujoco.studio` registers the location of materials (`filament:pbr.filamat`), without
+    which the first object would end the process.
 
     Raises:
         RenderError: this version of MuJoCo has no Filament renderer.

@@ -1,4 +1,4 @@
-"""`Painter`: base class for rendering a world, with or without a photo as background."""
+"""`Painter`: base class of renderers of a world, with or without a photo as background."""
 
 from __future__ import annotations
 
@@ -22,10 +22,11 @@ log = logging.getLogger(__name__)
 
 
 class Painter(ABC):
-    """Renders a world into images and handles clicks on these images, as a context manager.
+    """A renderer that draws a world into images and handles clicks on them; a context manager.
 
     Attributes:
-        decor: decor of the last frame.
+        decor: arrows, billboards and other visual features of the last frame.
+        size: width and height of the images, pixels.
     """
 
     world: WorldView
@@ -44,7 +45,7 @@ class Painter(ABC):
     def pick(
         self, data: mujoco.MjData, x: float, y: float, tolerance: float = 0.0
     ) -> Picked | None:
-        """Returns the item at a pixel, counted from the upper left corner, or None."""
+        """Returns the item at a pixel, which is counted from the upper left corner, or None."""
         return self._lay_out(data).pick(data, self._pixel(x, y), tolerance)
 
     def click(
@@ -55,11 +56,11 @@ class Painter(ABC):
         gesture: Gesture = "click",
         tolerance: float = 0.0,
     ) -> Picked | None:
-        """Clicks on a pixel, see `pick`, and returns the item there."""
+        """Clicks on a pixel, and returns the item at this pixel as `pick` does."""
         return self._lay_out(data).click(data, self._pixel(x, y), gesture, tolerance)
 
     def hover(self, data: mujoco.MjData, x: float, y: float) -> Picked | None:
-        """Moves the pointer to a pixel, see `pick`. The next frames show the name of the item."""
+        """Moves the pointer to a pixel, and returns the item, whose name the next frames show."""
         return self._lay_out(data).hover(data, self._pixel(x, y))
 
     def _pixel(self, x: float, y: float) -> Pixel:
@@ -86,7 +87,7 @@ class Painter(ABC):
 
 
 def perform_clicks(painter: Painter, data: mujoco.MjData, clicks: Sequence[Click]) -> None:
-    """Clicks on pixels in order, and logs the item at each pixel."""
+    """Performs clicks in the given order, and logs the item at each pixel."""
     for x, y, gesture, finger in clicks:
         if gesture == "hover":
             picked = painter.hover(data, x, y)

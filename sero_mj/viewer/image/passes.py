@@ -1,11 +1,10 @@
-"""Segmentation images (the part at every pixel) and depth images, without decor.
+"""Segmentation images, which show the part at each pixel, and depth images.
 
-Both are rendered without multisampling, so a pixel at an edge belongs to exactly one part.
-
-- Segmentation as .png: a palette image whose index is the number of the part, as in PASCAL VOC.
-  With more than 256 parts, 16-bit grayscale. As .npy: int32. NAME.parts.json names the parts.
-- Depth as .png: 16-bit grayscale, mm, 0 for the sky and above 65.535 m, as in ROS (REP 118) and
-  depth cameras. As .npy: float32, m, infinite for the sky.
+Arrows and billboards are not rendered. Without multisampling, each pixel belongs to one part.
+A segmentation .png file is a palette image whose indices are part numbers, as in PASCAL VOC, or a
+16-bit grayscale image if there are more than 256 parts. A .npy file contains int32 values. A depth
+.png file is a 16-bit grayscale image in mm, with 0 for the sky and for depths above 65.535 m, as in
+ROS (REP 118). A .npy file contains float32 values in m, with inf for the sky.
 """
 
 from __future__ import annotations
@@ -34,22 +33,22 @@ _PLANE = int(mujoco.mjtGeom.mjGEOM_PLANE)
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _WIREFRAME = int(mujoco.mjtRndFlag.mjRND_WIREFRAME)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-# Types of surfaces other than geoms, and the field of a model with their number.
+# Mapping from types of surfaces that are not geoms to the field of `MjModel` with their number.
 _SURFACES = {
     int(mujoco.mjtObj.mjOBJ_SKIN): "nskin",
     int(mujoco.mjtObj.mjOBJ_FLEX): "nflex",
     int(mujoco.mjtObj.mjOBJ_TENDON): "ntendon",
 }
-_AT_INFINITY = 1.0 - 1e-5  # fraction of the distance of the far plane
+_AT_INFINITY = 1.0 - 1e-5  # depth from which a pixel is the sky, fraction of the far plane distance
 
 
 class Parts:
-    """Numbers and names of the parts in segmentation images of a world.
+    """The numbers and names of the parts in segmentation images of a world.
 
     Attributes:
-        names: part names, indexed by part number: 0 is `background` (the sky), followed by links
-            (`lwr/link3`, or the name in the robot's file), links of doubles (`goal/link3`),
-            objects, and `floor`. The numbers are the same in all images of a scene.
+        names: names of the parts, indexed by part number. Number 0 is `background` (the sky). Other
+            parts are links, such as `lwr/link3`, links of doubles, objects, and `floor`. The
+            numbers are the same in all images of a scene.
     """
 
     def __init__(self, world: WorldView) -> None:
@@ -72,7 +71,7 @@ class Parts:
         return self._numbers.setdefault(name, len(self._numbers))
 
     def of(self, geom: mujoco.MjvGeom, double: str | None = None) -> int | None:
-        """Returns the number of the part that a geom of a scene belongs to, or None for decor."""
+        """Returns the number of the part that a geom of an `MjvScene` belongs to, or None."""
         if double is not None:
             return self._of_double.get((double, geom.objid))
         if geom.type == _PLANE and geom.objtype == _UNKNOWN:  # the floor of `AddedSurroundings`
@@ -91,7 +90,7 @@ def _geom_name(world: WorldView, geom: int) -> str:
 
 
 class PassRenderer:
-    """Renders segmentation and depth images of a world."""
+    """A renderer of segmentation and depth images of a world."""
 
     def __init__(self, world: WorldView, renderer: mujoco.Renderer) -> None:
         self.parts = Parts(world)
@@ -101,7 +100,7 @@ class PassRenderer:
         self._far = float(world.model.vis.map.zfar * world.model.stat.extent)
 
     def segmentation(self, buffer: GeomBuffer) -> Ints:
-        """Returns the number of the part at every pixel, shape (height, width), int32."""
+        """Returns the number of the part at each pixel, shape (height, width), int32."""
         self._mark(buffer)
         self._renderer.enable_segmentation_rendering()
         shown = self._renderer.render()[..., 0]
@@ -143,14 +142,14 @@ _MAX_MM = 65_535
 
 
 def check_pass_file(path: Path) -> None:
-    """Raises RenderError if the file format does not support segmentation and depth images."""
+    """Raises RenderError if a file name extension is not for segmentation or depth images."""
     if path.suffix.lower() not in PASS_ENDINGS:
         expected = f"a lossless format, with a name that ends in {' or '.join(PASS_ENDINGS)}"
         raise RenderError(Problem(file=str(path), found=path.suffix, expected=expected))
 
 
 def palette(count: int) -> Pixels:
-    """Returns distinguishable colors for part numbers, shape (count, 3), with black for 0.
+    """Returns distinguishable colors for part numbers, shape (count, 3), with black for number 0.
 
     Source: `VOClabelcolormap` in the development kit of the PASCAL Visual Object Classes Challenge
     2012, which distributes the bits of a number over red, green and blue.
@@ -165,11 +164,11 @@ def palette(count: int) -> Pixels:
 
 
 def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
-    """Writes the part at every pixel to a .png or .npy file, and NAME.parts.json beside it.
+    """Writes a segmentation image to a .png or .npy file, and NAME.parts.json to the same folder.
 
     Returns:
-        path of the JSON file, which lists `parts`. Each part has `id`, `name`, `colour` (red, green
-        and blue in the image; null without a palette) and its number of `pixels`.
+        path of the JSON file, which lists all `parts`. Each part has `id`, `name`, `colour` (red,
+        green and blue; null without a palette) and `pixels` (the number of its pixels).
 
     Raises:
         RenderError: a file cannot be written, or the extension is neither .png nor .npy.
@@ -183,7 +182,7 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
         image = Image.fromarray(parts.astype(np.uint8 if has_palette else np.uint16))
         if has_palette:
             image.putpalette(colours.tobytes())
-        _save_png(path, image, f"numbers of parts, named in {path.stem}.parts.json")
+        _save_png(path, image, f"part numbers, whose names are in {path.stem}.parts.json")
     counts = np.bincount(parts.ravel(), minlength=len(names)).tolist()
     legend: list[dict[str, Any]] = [
         {"id": i, "name": name, "colour": colours[i].tolist() if has_palette else None,
@@ -200,7 +199,7 @@ def save_segmentation(path: Path, parts: Ints, names: Sequence[str]) -> Path:
 
 
 def save_depth(path: Path, depth: Array) -> None:
-    """Writes the depth of every pixel to a .png or .npy file.
+    """Writes a depth image in m, with inf for the sky, to a .png or .npy file.
 
     Raises:
         RenderError: the file cannot be written, or the extension is neither .png nor .npy.
@@ -211,7 +210,7 @@ def save_depth(path: Path, depth: Array) -> None:
         return
     mm = np.round(1000.0 * np.where(np.isfinite(depth), depth, 0.0))
     found = np.where(mm <= _MAX_MM, mm, 0.0).astype(np.uint16)
-    _save_png(path, Image.fromarray(found), "depth, mm; 0 for none")
+    _save_png(path, Image.fromarray(found), "depth in mm; 0 for no depth")
 
 
 def _save_array(path: Path, array: np.ndarray) -> None:

@@ -1,7 +1,7 @@
-"""Finds the item at a pixel, in the same way for windows, pages and images.
+"""Finds the item at a pixel of windows, pages and images.
 
-Robots, doubles and objects are found by `mj_ray`, decor by intersection with its boxes, triangles
-and arrows. The item closest to the camera is returned.
+Robots, doubles and objects are found by `mj_ray`, and visual features by the intersection of a ray
+with their geoms. The item closest to the camera is returned.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ PickedKind = Literal[
 
 Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of an image
 
-TOUCH_TOLERANCE = 12.0  # tolerance for a touch screen, pixels
-# An arrow geom in MuJoCo's renderers (`mjGEOM_ARROW`): the cone is a third of its length.
+TOUCH_TOLERANCE = 12.0  # tolerance for touch screens, pixels
+# Length of the shaft and width of the head of MuJoCo arrows, in lengths and in shaft widths.
 _SHAFT, _HEAD_WIDTH = 2 / 3, 1.75
-_SLICES = 5  # cylinders that approximate the cone
+_SLICES = 5  # number of cylinders that approximate the cone
 _TYPES = mujoco.mjtGeom
-# Comparing arrays with numbers is a hundred times faster than with members of an enum.
+# Arrays are compared with numbers a hundred times faster than with members of an enum.
 _BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
 _MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
 _STEP = 1e-6  # distance from the surface of a hidden geom to the next start of the ray, m
@@ -49,16 +49,17 @@ _STEP = 1e-6  # distance from the surface of a hidden geom to the next start of 
 
 @dataclass(frozen=True)
 class Picked:
-    """The item at a pixel.
+    """An item that was found at a pixel.
 
     Attributes:
-        name: name of the item, such as `lwr/A4` (a joint's arrow or billboard), `lwr/link3` or
+        name: name of the item, such as `lwr/A4` (arrow or billboard of a joint), `lwr/link3` or
             `table`.
         owner: name of the robot or double that the item belongs to; empty for other items.
-        index: index of a joint for links, doubles, arrows and billboards; of a frame for axes and
-            names; of a smart arrow for vectors and their billboards; of a robot for checks; -1 for
-            objects and paths.
-        own_name: for a link, the link's name in the robot's file; otherwise the same as `name`.
+        index: index of the joint for links, doubles, arrows and billboards, of the frame for axes
+            and names, of the smart arrow for vectors and their billboards, or of the robot for
+            checks; -1 for objects and paths.
+        distance: distance from the camera, m.
+        own_name: name of a link in the file of its robot. For other items, it equals `name`.
     """
 
     kind: PickedKind
@@ -84,10 +85,10 @@ def pick(
     """Returns the item at a pixel, or None for the sky and the floor.
 
     Args:
-        buffer: decor of the displayed frame.
-        pixel: x to the right and y up from the lower left corner of the image.
-        tolerance: maximum distance from decor if no decor is hit exactly, pixels; see
-            `TOUCH_TOLERANCE`.
+        buffer: buffer with the visual features of the displayed frame.
+        pixel: pixel counted from the lower left corner of the image, x to the right and y up.
+        tolerance: maximum distance from visual features if none is hit exactly, pixels. Use
+            `TOUCH_TOLERANCE` for touch screens.
     """
     origin = view.position
     direction = _through(view, pixel)
@@ -108,7 +109,7 @@ def _through(view: ImageView, pixel: Pixel) -> Array:
 def point_at(
     world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> Array | None:
-    """Returns the world point (3,), m, at a pixel, also on the floor, or None for the sky."""
+    """Returns the world point (3,), m, that a pixel shows, or None for the sky."""
     direction = _through(view, pixel)
     picked = pick(world, data, buffer, view, pixel)
     if picked is not None:
@@ -121,9 +122,10 @@ def point_at(
 def link_at(
     world: WorldView, data: mujoco.MjData, buffer: GeomBuffer, view: ImageView, pixel: Pixel
 ) -> tuple[str, Array] | None:
-    """Returns the frame of the robot's link at a pixel, and the world point (3,), m, at the pixel.
+    """Returns the frame of the robot link at a pixel, and the world point (3,), m, of the pixel.
 
-    Decor and doubles are ignored. Returns None if anything else is in front.
+    Visual features and doubles are ignored. Returns None if there is no link or if anything else is
+    in front of it.
     """
     direction = _through(view, pixel)
     model = world.model
@@ -140,7 +142,7 @@ def link_at(
 def handle_at(
     buffer: GeomBuffer, view: ImageView, pixel: Pixel, tolerance: float = 0.0
 ) -> int | None:
-    """Returns the handle at a pixel, see `viewer.decor.handles`, or None."""
+    """Returns the index in `HANDLE_NAMES` of the handle at a pixel, or None."""
     handles = buffer.kinds[: buffer.count] == Kind.HANDLE
     if not handles.any():
         return None
@@ -170,10 +172,10 @@ def _pick_decor(
 
 
 def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) -> Picked:
-    """Returns the decor item with this kind and index, at a distance from the camera in m.
+    """Returns the item with a kind, an index, and a distance from the camera in m.
 
     Raises:
-        ValueError: decor has no such item.
+        ValueError: there is no such item.
     """
     counts = {
         Kind.AXES: len(world.frames.names),
@@ -185,7 +187,7 @@ def picked_of(world: WorldView, kind: Kind, item: int, distance: float = 0.0) ->
         Kind.PART: 0,
     }
     if kind == Kind.NONE or not 0 <= item < counts.get(kind, len(world.joints.names)):
-        raise ValueError(f"found {kind.name} {item}; expected an item of decor")
+        raise ValueError(f"found {kind.name} {item}; expected an item of a visual feature")
     name, owner = _name_of(world, kind, item)
     what = cast("PickedKind", kind.name.lower())
     return Picked(what, name, owner, item, distance)
@@ -238,7 +240,7 @@ def _name_of(world: WorldView, kind: Kind, item: int) -> tuple[str, str]:
 
 
 def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: Array) -> Array:
-    """Returns the distances along a ray to boxes, shape (k,), m, with inf for a miss.
+    """Returns the distances along a ray to k boxes, shape (k,), m, with inf for boxes not hit.
 
     Source: slab method (Kay and Kajiya, Ray Tracing Complex Scenes, 1986).
     """
@@ -255,10 +257,9 @@ def ray_boxes(origin: Array, direction: Array, centre: Array, mat: Array, half: 
 def ray_triangles(
     origin: Array, direction: Array, corner: Array, edges: Array, margin: Array
 ) -> Array:
-    """Returns the distances along a ray to triangles, shape (k,), m, with inf for a miss.
+    """Returns the distances along a ray to k triangles, shape (k,), m, with inf for those not hit.
 
-    Triangles are hit from both sides. `margin` is the maximum distance of the ray from each
-    triangle, shape (k,), m.
+    Triangles are hit from both sides, and by rays within a distance of `margin`, shape (k,), m.
 
     Source: Moeller and Trumbore, "Fast, minimum storage ray-triangle intersection", Journal of
     Graphics Tools 2(1), 1997.
@@ -274,7 +275,7 @@ def ray_triangles(
     distance = np.where(hit, distance, np.inf)
     if not margin.any():
         return distance
-    # The point of every side that is closest to the ray in the plane perpendicular to it.
+    # On each side, find the point that is closest to the ray in the plane perpendicular to the ray.
     begin = np.stack([-start, -start, u - start])
     side = np.stack([u, v, v - u])
     depth, deeper = begin @ direction, side @ direction
@@ -290,14 +291,15 @@ def ray_triangles(
 def ray_arrow(
     origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
 ) -> float:
-    """Returns the distance along a ray to an arrow geom, m, or inf for a miss.
+    """Returns the distance along a ray to an arrow geom in m, or inf if the ray misses the arrow.
 
     Args:
-        size: size as in `MjvGeom`: radii of the shaft, and length times `ARROW_SIZE_OF_LENGTH`, m.
+        size: size as in `MjvGeom`: two radii of the shaft, and the length times
+            `ARROW_SIZE_OF_LENGTH`, m.
         margin: increase of radius and length, m.
     """
     length = size[2] / ARROW_SIZE_OF_LENGTH
-    cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of every slice, from base to tip
+    cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of each slice, from base to tip
     middles = length * np.append(_SHAFT / 2, _SHAFT + (1 - _SHAFT) * cone)
     halves = length * np.append(_SHAFT / 2, np.full(_SLICES, (1 - _SHAFT) / 2 / _SLICES))
     radii = size[0] * np.append(1.0, _HEAD_WIDTH * (1 - cone))
@@ -326,7 +328,7 @@ def _pick_solid(
 
 
 def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
-    """Returns the link, link of a double, or object that a geom of the model belongs to."""
+    """Returns the robot link, double link or object that a geom of the model belongs to."""
     model = world.model
     body = int(model.geom_bodyid[geom])
     for name, double in world.doubles.items():
@@ -349,7 +351,7 @@ def picked_geom(world: WorldView, geom: int, distance: float = 0.0) -> Picked:
 
 
 def _link_of(world: WorldView, part: RobotPart, body: int) -> tuple[str, int] | None:
-    while body:  # bodies attached to a link belong to it
+    while body:  # bodies that are attached to a link belong to this link
         found = (part.bodies == body).nonzero()[0]
         if len(found):
             link = int(found[0])
@@ -373,7 +375,7 @@ def _pick_drawn_double(
 
 
 def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
-    """Returns the link of a double that a geom belongs to, or None."""
+    """Returns the link of a double that is not in the model, for one of its geoms, or None."""
     double = world.doubles[name]
     link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
     if link is None:

@@ -1,6 +1,6 @@
 """Renders images and videos of a world, or of a scene with live sources, without a window.
 
-A video of a live robot has to play in real time, even if software rendering is slower. Therefore a
+A video of a live robot must play in real time, even if software rendering is slower. Therefore, a
 thread samples the state at the frame rate of the video, and frames are rendered from these samples.
 """
 
@@ -54,17 +54,17 @@ from .video_frames import SUBFRAMES, Exposure, video_frames
 
 log = logging.getLogger(__name__)
 
-MAX_SIDE = 16384  # pixels, limit of Mesa's software renderer
+MAX_SIDE = 16384  # maximum width and height in pixels, a limit of the Mesa software renderer
 QUALITIES: tuple[str, ...] = get_args(Quality)
-SUPERSAMPLING = 2  # rendered pixels per pixel of each side, for quality `fine`
+SUPERSAMPLING = 2  # rendered pixels per image pixel along each side, for quality `fine`
 PRINT_DPI = 300
 
 
 def check_size(what: str, width: int, height: int) -> None:
-    """Checks the size of an image or window.
+    """Raises RenderError if the size of an image or window in pixels is out of range.
 
-    Raises:
-        RenderError: the size is out of range.
+    Args:
+        what: name of the image or window in the message.
     """
     if not (1 <= width <= MAX_SIDE and 1 <= height <= MAX_SIDE):
         expected = f"1 to {MAX_SIDE} pixels per side"
@@ -81,7 +81,7 @@ def offscreen_size(
     samples: int | None = None,
     is_draft: bool = False,
 ) -> Iterator[None]:
-    """Sets the offscreen buffer size for OpenGL contexts created inside the `with` block.
+    """Sets the offscreen buffer size of the OpenGL contexts that the `with` block creates.
 
     MuJoCo reads the size from the model, which is changed temporarily.
     """
@@ -99,26 +99,27 @@ def offscreen_size(
 
 
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
-    """MuJoCo's OpenGL renderer with the interface of a `SceneRenderer`."""
+    """The OpenGL renderer of MuJoCo with the interface of a `SceneRenderer`."""
 
     def follow(self, data: mujoco.MjData) -> None: ...
 
 
 class HeadlessRenderer(Painter):
-    """Renders a world into arrays.
+    """A renderer that draws a world into arrays, without a window.
 
     Args:
-        quality: `draft` is fast with software OpenGL, `fine` is for print.
-        stereo: `side-by-side` for half of the image for each eye, with the left eye on the left;
-            `anaglyph` for red-cyan glasses.
+        camera: name or pose of the camera, as in `find_camera` (default: the view of the scene).
+        quality: `draft` for speed with software OpenGL, `normal`, or `fine` for print.
+        stereo: `side-by-side` for one half of the image for each eye, or `anaglyph` for red-cyan
+            glasses.
         eye_distance: distance between the eyes, m.
-        follow: robot, group or frame that the free camera follows (default: the setting of the
-            scene's view).
-        renderer: `classic` for OpenGL, or the name of an extension's `Renderer` (default: a
-            renderer for quality `fine` if this quality is requested, else `classic`). If the
+        follow: robot, group or frame that the free camera follows (default: the setting in the
+            view of the scene).
+        renderer: `classic` for OpenGL, or the name of a `Renderer` of an extension (default: a
+            renderer for quality `fine` if this quality is requested, otherwise `classic`). If the
             renderer is not available, the classic renderer is used, and a warning states the
             reason.
-        frames: approximate number of frames to be rendered.
+        frames: approximate number of frames that will be rendered.
 
     Raises:
         RenderError: OpenGL is not available, the size or eye distance is out of range, or the
@@ -154,7 +155,7 @@ class HeadlessRenderer(Painter):
             self._follower = Follower(world, follow, declared_data(world))
         self.size = (width, height)
         self._stereo, self._eye_distance = stereo, eye_distance
-        # Size for one eye.
+        # Size of the image for one eye.
         self._half = (width // 2, height) if stereo == "side-by-side" else (width, height)
         check_size("half of the image", *self._half)
         self._centre = bounding_sphere(world)[0] if stereo is not None else np.zeros(3)
@@ -176,7 +177,7 @@ class HeadlessRenderer(Painter):
 
     @classmethod
     def of_scene(cls, mirror: Mirror, options: ImageOptions, frames: int = 1) -> Self:
-        """Returns a renderer for images of a mirrored scene with these options."""
+        """Returns a renderer for images of a mirrored scene with the requested options."""
         return cls(
             mirror.world,
             *options.size,
@@ -190,7 +191,7 @@ class HeadlessRenderer(Painter):
         )
 
     def render(self, data: mujoco.MjData, out: Pixels | None = None) -> Pixels:
-        """Renders one frame into `out`, (height, width, 3), uint8, or into a new array."""
+        """Renders one frame into an array `out`, (height, width, 3), uint8, or into a new array."""
         self.decor.draw(data, self._look(data), self._renderer.scene)
         self._renderer.follow(data)
         text = self._typesetter.place(self.decor.panels)
@@ -213,9 +214,9 @@ class HeadlessRenderer(Painter):
         return pixels if out is not None else pixels.view(ImageArray)
 
     def hold(self, poses: Iterable[mujoco.MjData], turns: Sequence[float] = (0.0,)) -> None:
-        """Moves the camera so that the robots are in the image in all given poses.
+        """Moves the camera so that robots are in the image in all poses, as `Framing.hold`.
 
-        A camera that follows something is not moved. See `Framing.hold`.
+        A camera that follows a robot, group or frame is not moved.
         """
         if self._follower is None:
             self._framing.hold(self.camera, poses, self._half, turns)
@@ -224,7 +225,7 @@ class HeadlessRenderer(Painter):
         self._follower = None
 
     def segmentation(self, data: mujoco.MjData) -> Ints:
-        """Renders the part at every pixel, without decor and stereo.
+        """Renders a segmentation image, which contains the number of the part at each pixel.
 
         Returns:
             part numbers, shape (height, width), int32, top row first. They are indices of
@@ -233,7 +234,7 @@ class HeadlessRenderer(Painter):
         return self._filled(data).segmentation(self.decor.buffer)
 
     def depth(self, data: mujoco.MjData) -> Array:
-        """Renders the depth of every pixel, without decor and stereo.
+        """Renders a depth image, without arrows and other visual features.
 
         Returns:
             distances from the camera along the viewing direction, shape (height, width), float32,
@@ -243,7 +244,7 @@ class HeadlessRenderer(Painter):
 
     @property
     def part_names(self) -> tuple[str, ...]:
-        """Names of the parts, indexed by the part numbers of `segmentation`. See `passes.Parts`."""
+        """Names of the parts in segmentation images, indexed by part number."""
         return self._pass_renderer().parts.names
 
     def _pass_renderer(self) -> PassRenderer:
@@ -267,9 +268,9 @@ class HeadlessRenderer(Painter):
     def render_blurred(
         self, subframes: Iterable[mujoco.MjData], out: Pixels | None = None
     ) -> Pixels:
-        """Renders one frame with motion blur, as the mean of subframes.
+        """Renders one frame with motion blur, as the mean of its subframes.
 
-        Text is taken from the first subframe and stays sharp. Stereo is not supported.
+        The text of the first subframe is used, so that it stays sharp. Stereo is not supported.
         """
         exposure, text, scene = Exposure(), None, self._renderer.scene
         for data in subframes:
@@ -319,7 +320,7 @@ class HeadlessRenderer(Painter):
 
 
 def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) -> Any:
-    """Returns MuJoCo's renderer with an OpenGL context for images of the requested size.
+    """Returns a classic renderer with an OpenGL context for images of the requested size in pixels.
 
     Raises:
         RenderError: OpenGL is not available, or the size is too large.
@@ -334,14 +335,15 @@ def make_renderer(world: WorldView, width: int, height: int, *, is_draft: bool) 
                 renderer = ClassicRenderer(model, height, width)
         upload_textures(model, context_of(renderer), textures)
         return renderer
-    except Exception as error:  # every OpenGL backend has its own errors
+    except Exception as error:  # each OpenGL backend has its own errors
         remedy = "`sero-mj check` lists missing packages"
         why = backend_problem() or f"{error or type(error).__name__}; {remedy}"
         raise RenderError(f"cannot render an image of {width}x{height}: {why}") from error
 
 
 NEXT_WITHIN = 0.5  # time within which a live source should send its next packet, s
-MAX_FRAMES = 1_000_000  # nine hours at 30 fps; a larger number is probably a typing error
+# Maximum number of video frames (nine hours at 30 fps). A larger number is probably a typing error.
+MAX_FRAMES = 1_000_000
 OnProgress = Callable[[int, int], None]
 
 
@@ -354,18 +356,18 @@ def render_image(
     painter: Callable[[Mirror, ImageOptions], Painter] = HeadlessRenderer.of_scene,
     **keywords: Any,
 ) -> list[str]:
-    """Renders an image of the current state of a scene.
+    """Renders an image of the current state of a scene into a file.
 
     Args:
-        path: image file in .png or another format of Pillow.
+        path: image file in .png format or another format of Pillow.
+        options: options of the image (default: `keywords`).
         at: time since the start of recordings and simulations, s.
         painter: function that returns the renderer.
-        **keywords: fields of `ImageOptions`: `size` (width, height), `quality`, `camera`,
-            `stereo`, `eye_distance`, `follow`, `clicks`, `shown`, `selected`, `render_pass`,
-            `wait`.
+        **keywords: fields of `ImageOptions`, such as `size` (width, height), `quality`, `camera`,
+            `follow`, `clicks`, `shown` and `wait`.
 
     Returns:
-        names of the sources without data; their robots have the declared pose.
+        names of the sources without data, whose robots are in their declared pose.
 
     Raises:
         SeroError: the scene, its sources, the camera, an option or the file is invalid.
@@ -382,7 +384,7 @@ def render_image(
             held = HeldTorques(mirror, drawn.toggles)
             held.update(mirror.data)
             perform_clicks(drawn, mirror.data, options.clicks)
-            held.update(mirror.data)  # clicks switch billboards on
+            held.update(mirror.data)  # clicks may switch billboards on
             if isinstance(drawn, HeadlessRenderer):
                 drawn.hold([mirror.data])
             if options.render_pass != "colour":
@@ -410,10 +412,12 @@ def render_video(
     on_progress: OnProgress | None = None,
     **keywords: Any,
 ) -> list[str]:
-    """Renders a video of a scene, in real time if it has live sources.
+    """Renders a video of a scene into a file, in real time if the scene has live sources.
 
     Args:
         path: video file with the extension .mp4, .webm or .gif.
+        options: options of the video (default: `keywords`).
+        on_progress: function that is called with the numbers of written frames and of all frames.
         **keywords: fields of `VideoOptions`: `duration` (s), `fps`, `orbit` (degrees),
             `camera_path` (a file), and all keywords of `render_image`. Clicks are performed before
             the first frame.
@@ -456,7 +460,7 @@ def write_video(
     options: ImageOptions,
     on_progress: OnProgress | None,
 ) -> list[str]:
-    """Writes rendered frames to a video, and returns the names of the sources without data."""
+    """Writes rendered frames to a video file, and returns the names of the sources without data."""
     with VideoWriter(path, *painter.size, fps) as film:
         silent = mirror.wait(options.wait)
         apply_switches(mirror.world, painter.toggles, options.shown, options.selected)

@@ -1,7 +1,7 @@
-"""`Renderer`: base class of renderers other than MuJoCo's classic one, and their selection.
+"""`Renderer`: base class of renderers that extensions add to the classic renderer of MuJoCo.
 
-A package adds a renderer with an entry point in the group `sero_mj.renderers`. The name of the
-entry point is the value of `--renderer`.
+A package adds a renderer with an entry point in the group `sero_mj.renderers`. Users select it by
+the name of the entry point (`--renderer`).
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ CLASSIC = "classic"
 
 
 class SceneRenderer(Protocol):
-    """Renders a scene of MuJoCo into arrays.
+    """A renderer that draws an `MjvScene` into arrays.
 
     Attributes:
-        scene: scene that the caller fills with `mujoco.mjv_updateScene` before rendering.
+        scene: scene that the caller fills with `mujoco.mjv_updateScene` before each frame.
     """
 
     scene: mujoco.MjvScene
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Reads the shapes of skins and flexes from a state. The scene does not contain them."""
+        """Called before each frame with the state, which has the shapes of skins and flexes."""
 
     def render(self, out: Pixels | None = None) -> Pixels: ...
 
@@ -43,11 +43,12 @@ class SceneRenderer(Protocol):
 
 
 class Renderer(ABC):
-    """A kind of renderer, which is created without arguments.
+    """A kind of renderer that an extension adds. One instance is created without arguments.
 
     Attributes:
+        title: name of the renderer in messages.
         is_for_fine: whether this renderer is the default for images of quality `fine`.
-        packages: Debian and Ubuntu packages that this renderer needs.
+        packages: names of the Debian and Ubuntu packages that this renderer needs.
     """
 
     title: ClassVar[str]
@@ -55,29 +56,34 @@ class Renderer(ABC):
     packages: ClassVar[str] = ""
 
     @abstractmethod
-    def problem(self, width: int, height: int) -> str | None: ...
+    def problem(self, width: int, height: int) -> str | None:
+        """Returns why images of a size cannot be rendered on this machine, or None."""
 
     @abstractmethod
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[SceneRenderer, AddedSurroundings | None]:
-        """Returns a renderer for a world, and the surroundings that the renderer adds, or None."""
+        """Returns a renderer for a world, and the surroundings to add to its scene, or None."""
 
 
 @cache
 def renderers() -> dict[str, Renderer]:
-    """Returns a mapping from names to the renderers of extensions."""
+    """Returns the renderers of all extensions as a mapping from their names."""
     return {name: kind() for name, kind in load_all(RENDERERS, Renderer).items()}
 
 
 def choose_renderer(wanted: str | None, quality: Quality, width: int, height: int) -> str:
-    """Returns the name of the renderer for an image, and warns if the wanted one is unavailable.
+    """Returns the name of the renderer for an image.
+
+    Args:
+        wanted: requested name (default: a renderer for the quality). If this renderer is not
+            available, a warning is logged, and the classic renderer is used.
 
     Raises:
-        RenderError: no renderer has the name `wanted`.
+        RenderError: no renderer has the requested name.
     """
     if wanted == CLASSIC or (wanted is None and quality != "fine"):
-        return CLASSIC  # without importing extensions
+        return CLASSIC  # this avoids the import of extensions
     known = renderers()
     if wanted is None:
         wanted = next((name for name, each in known.items() if each.is_for_fine), CLASSIC)

@@ -1,4 +1,4 @@
-"""Samples the state of a mirror at a fixed rate, in real time if its sources are live."""
+"""Samples the state of a mirrored scene at a fixed rate, in real time if its sources are live."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ import numpy as np
 from ...base.frames import Array
 from ...data.drive.mirror import LiveWorld, Mirror
 
-_POSES = 64
+_POSES = 64  # number of poses that a camera has to show
 _MAX_DURATION = 120.0  # maximum duration of a recording that is read in advance, s
 
 
 def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
-    """Yields states of recordings as `known_poses` does, unless they are too long."""
+    """Yields states of a mirror over the whole duration of its recordings, unless they are long."""
     sources = mirror.sources.values()
     ends = [source.end for source in sources if source.end is not None and source.step is None]
     if not mirror.is_live and 0 < len(ends) == len(sources) and max(ends) <= _MAX_DURATION:
@@ -26,20 +26,20 @@ def recorded_poses(mirror: LiveWorld) -> Iterator[mujoco.MjData]:
 
 
 def known_poses(mirror: LiveWorld, begin: float, end: float) -> Iterator[mujoco.MjData]:
-    """Yields states between two times, for a camera that has to show all of them.
+    """Yields states of a mirror between two times in seconds, for a camera that shows all of them.
 
     The mirror must not be live. Afterwards, its time is `begin`.
     """
-    # Backward, because recordings jump back without reading the frames in between.
+    # The times decrease, because recordings jump back without reading the frames in between.
     for now in np.linspace(end, begin, _POSES if mirror.sources else 1).tolist():
         mirror.advance(now)
         yield mirror.data
 
 
 def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -> Iterator[Array]:
-    """Yields the state at the time of every frame. A thread samples live sources.
+    """Yields the state of a mirror at the time of each frame of a video.
 
-    The consumer may be slower than the frame rate.
+    A thread samples live sources, so that the consumer may be slower than the frame rate.
     """
     if not mirror.is_live:
         for k in range(count):
@@ -57,7 +57,7 @@ def sampled_states(mirror: Mirror, count: int, fps: float, begin: float = 0.0) -
                     return
                 mirror.advance(k / fps)
                 taken.put(mirror.state())
-        except BaseException as error:  # raised again on the caller's thread
+        except BaseException as error:  # raised again on the thread of the caller
             taken.put(error)
 
     sampler = threading.Thread(target=sample, name="video sampler", daemon=True)

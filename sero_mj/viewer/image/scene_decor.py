@@ -1,4 +1,4 @@
-"""`SceneDecor`: lays out decor, adds it to an `MjvScene`, and handles clicks on it."""
+"""`SceneDecor`: adds visual features to an `MjvScene`, and handles clicks on them."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ log = logging.getLogger(__name__)
 
 
 class SceneDecor:
-    """The decor of a world in a window, page or image.
+    """The visual features of a world in a window, page or image.
 
     Args:
-        toggles: switches of the shown features (default: the scene's switches).
-        with_text: whether panels and labels are added to scenes. Otherwise the caller draws
+        toggles: switches of the visual features (default: the switches that the scene declares).
+        with_text: whether panels and labels are added to scenes. Otherwise, the caller draws
             `panels`.
 
     Attributes:
         view: view of the last frame; None before the first frame.
-        dropped: number of geoms of the last frame that exceeded the scene's capacity.
+        dropped: number of geoms of the last frame that exceeded the capacity of the scene.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class SceneDecor:
 
     @property
     def fixed(self) -> str:
-        """Message if the camera cannot be moved; empty if it can."""
+        """Reason why the user cannot move the camera; empty if the user can move it."""
         return ""
 
     @property
@@ -76,7 +76,7 @@ class SceneDecor:
         self._decor.draw(data, self.toggles, view)
 
     def draw(self, data: mujoco.MjData, view: ImageView, scene: mujoco.MjvScene) -> int:
-        """Lays out one frame and adds it to a scene filled by MuJoCo."""
+        """Adds one frame to a scene filled by MuJoCo, and returns the number of dropped geoms."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
             self._host = (scene, SceneWriter(scene))
@@ -85,14 +85,14 @@ class SceneDecor:
         if self.dropped and not self._has_warned:
             self._has_warned = True
             log.warning(
-                "%d decor geoms are not drawn: the scene's capacity is %d",
+                "%d geoms of arrows, axes or panels are not drawn: the scene has room for %d geoms",
                 self.dropped,
                 scene.maxgeom,
             )
         return self.dropped
 
     def from_above(self, x: float, y: float) -> Pixel:
-        """Returns the center of a pixel, y up, for a pixel counted from the upper left corner."""
+        """Converts a pixel from coordinates with y down, as in image files, to y up."""
         assert self.view is not None
         return x + 0.5, self.view.height - y - 0.5
 

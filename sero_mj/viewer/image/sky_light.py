@@ -12,24 +12,24 @@ import numpy as np
 from ...base.frames import Array
 from ...robots.declared.surroundings import Palette, Rgb
 
-LEVELS = 6  # number of reflections with different roughness
-_SHARPEST, _BLUREST = 0.03, 0.9  # rad, standard deviation of the blur of the first and last level
-_LAMP = 0.12  # 1 - sine of the elevation at which the lamp fades
+LEVELS = 6  # number of levels of roughness
+_SHARPEST, _BLUREST = 0.03, 0.9  # standard deviation of the blur of the first and last level, rad
+_LAMP = 0.12  # size of the lamp: 1 minus the sine of the elevation at which it fades
 _HORIZON = 0.02  # width of the transition from ground to sky, sine of the elevation
-_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # weights of red, green and blue; ITU-R BT.709
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722])  # weights of red, green and blue (ITU-R BT.709)
 
 
 def linear(srgb: Array) -> Array:
-    """Returns linear light, 0 to 1, of displayed colors, 0 to 1.
+    """Converts displayed colors (sRGB, 0 to 1) to linear light (0 to 1).
 
-    Source: IEC 61966-2-1 (sRGB).
+    Source: IEC 61966-2-1.
     """
     srgb = np.clip(srgb, 0.0, None)
     return np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
 
 
 def shown(light: Array) -> Array:
-    """Returns the displayed colors, 0 to 1, of linear light. This is the inverse of `linear`."""
+    """Converts linear light to displayed colors (sRGB, 0 to 1). This is the inverse of `linear`."""
     light = np.clip(light, 0.0, None)
     return np.where(light <= 0.0031308, light * 12.92, 1.055 * light ** (1 / 2.4) - 0.055)
 
@@ -39,7 +39,7 @@ def _grey(rgb: Rgb) -> float:
 
 
 class SkyLight:
-    """The light of a palette, relative to white, as a function of the sine of the elevation."""
+    """The light around a scene with a palette, relative to white, for each elevation."""
 
     def __init__(self, palette: Palette) -> None:
         light = palette.physical
@@ -48,7 +48,7 @@ class SkyLight:
         self._lamp = light.softbox
 
     def radiance(self, up: Array) -> Array:
-        """Returns the radiance at each sine of the elevation, shape (...)."""
+        """Returns the radiance of directions, given by the sines of their elevations."""
         up = np.asarray(up, float)
         high = np.clip(up, 0.0, 1.0)
         sky = self._horizon + (self._zenith - self._horizon) * np.sqrt(high)
@@ -57,9 +57,10 @@ class SkyLight:
         return np.asarray(share * sky + (1.0 - share) * self._ground)
 
     def irradiance(self) -> Array:
-        """Returns the coefficients (a, b, c) of the irradiance divided by pi.
+        """Returns coefficients (a, b, c) that approximate the irradiance of surfaces.
 
-        This is a + b y + c (3 y^2 - 1), where y is the sine of the elevation of a surface's normal.
+        The irradiance divided by pi is a + b y + c (3 y^2 - 1), where y is the sine of the
+        elevation of the surface normal.
         """
         up, azimuth = np.linspace(-1.0, 1.0, 801), np.linspace(0.0, np.pi, 64)
         light, normals = self.radiance(up), np.linspace(-1.0, 1.0, 21)
@@ -74,10 +75,10 @@ class SkyLight:
         return np.asarray(np.linalg.lstsq(basis, np.array(found), rcond=None)[0])
 
     def reflected(self, up: Array, level: int) -> Array:
-        """Returns the radiance, shape (...), that surfaces of one roughness reflect.
+        """Returns the radiance, shape (...), that surfaces of the same roughness reflect.
 
         Args:
-            up: sines of the elevation of the directions that a mirror would reflect, shape (...).
+            up: sines of the elevations of the directions that a mirror would reflect, shape (...).
             level: level of roughness, from 0 for a mirror to `LEVELS` - 1 for the roughest surface.
         """
         spread = _SHARPEST + (_BLUREST - _SHARPEST) * (level / (LEVELS - 1)) ** 2

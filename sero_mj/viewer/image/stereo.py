@@ -1,7 +1,7 @@
-"""Images for two eyes: side by side, or combined as a red-cyan anaglyph.
+"""Stereo images: one image for each eye, side by side or combined as a red-cyan anaglyph.
 
-Both eyes look in the same direction, with off-axis frustums: points at the distance of the look-at
-point are at the same pixel for both eyes. All text is drawn at that distance.
+Both eyes look in the same direction. Their frustums are off-axis, so that points at the distance of
+the look-at point are at the same pixel for both eyes. All text is drawn at this distance.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from ...base.errors import RenderError, shown
 from .image_options import Stereo
 
 STEREO: tuple[str, ...] = get_args(Stereo)
-_MAX_DISTANCE = 1.0  # m
-_LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `viewer.decor.panels`
-# Weights of the colors red, green and blue for the left eye (red filter) and the right eye (cyan).
-# Source: Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001, as
+_MAX_DISTANCE = 1.0  # maximum distance between the eyes, m
+_LAID_OUT = 2.0  # maximum depth of leaders, in units of the near plane distance
+# Weights of the colors red, green and blue for the left eye (red filter) and the right eye (cyan
+# filter). Source: Dubois, A projection method to generate anaglyph stereo images, ICASSP 2001, as
 # published for common filters and screens.
 _LEFT = np.array([[0.437, 0.449, 0.164], [-0.062, -0.062, -0.024], [-0.048, -0.050, -0.017]])
 _RIGHT = np.array([[-0.011, -0.032, -0.007], [0.377, 0.761, 0.009], [-0.026, -0.093, 1.234]])
@@ -28,7 +28,7 @@ Pixels = NDArray[np.uint8]
 
 
 def check_stereo(stereo: str | None, eye_distance: float) -> None:
-    """Raises RenderError for an unknown stereo mode or an eye distance out of range."""
+    """Raises RenderError if a stereo mode is unknown or an eye distance in m is out of range."""
     if stereo is not None and stereo not in STEREO:
         raise RenderError(f"found stereo {shown(stereo)}; expected {' or '.join(STEREO)}")
     if not 0 < eye_distance <= _MAX_DISTANCE:
@@ -37,12 +37,12 @@ def check_stereo(stereo: str | None, eye_distance: float) -> None:
 
 
 def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> Iterator[None]:
-    """Moves the camera of a scene to the left eye, then to the right eye, and yields at each eye.
+    """Moves the camera of a scene to the left and then to the right eye, and yields at each eye.
 
     Args:
-        scene: scene filled by `mjv_updateScene` and decor. It is restored afterwards.
-        distance: distance along the viewing direction at which points have the same pixel for both
-            eyes, m.
+        scene: scene with all geoms of a frame. Its camera is restored afterwards.
+        eye_distance: distance between the eyes, m.
+        distance: depth at which points have the same pixel for both eyes, m.
     """
     first = scene.camera[0]
     middle = (np.array(first.pos, np.float64) + np.array(scene.camera[1].pos)) / 2
@@ -71,10 +71,10 @@ def each_eye(scene: mujoco.MjvScene, eye_distance: float, distance: float) -> It
 def looked_at(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, centre: NDArray[np.float64]
 ) -> float:
-    """Returns the distance from a camera to its look-at point, m.
+    """Returns the distance from a camera to its look-at point in m.
 
-    A camera of the model has no look-at point. The result is then the distance to the center of the
-    scene, `centre` (3,), m.
+    A camera of the model has no look-at point. For this camera, the result is the distance to
+    `centre`, the center of the scene, shape (3,), m.
     """
     near = float(scene.camera[0].frustum_near)
     is_free = camera.type == mujoco.mjtCamera.mjCAMERA_FREE
@@ -85,8 +85,8 @@ def looked_at(
 
 
 def anaglyph(left: Pixels, right: Pixels) -> Pixels:
-    """Combines the images (height, width, 3) of both eyes for red-cyan glasses (red: left eye)."""
-    # In linear light, which the filters of glasses absorb.
+    """Combines the images of both eyes for red-cyan glasses, with red for the left eye."""
+    # Colors are mixed in linear light, which the filters of the glasses absorb.
     tables = (np.arange(256) / 255.0) ** 2.2
     mixed = tables[left] @ _LEFT.T + tables[right] @ _RIGHT.T
     return np.asarray((np.clip(mixed, 0.0, 1.0) ** (1 / 2.2) * 255.0).round(), np.uint8)

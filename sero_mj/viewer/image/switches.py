@@ -1,4 +1,4 @@
-"""Converts switches of `Toggles` from and to text, for commands and links."""
+"""Converts the switches of `Toggles` from and to text, for commands and links."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ SWITCH_NAMES = (
     "doubles", "legend", "status", "flange_checks", "contacts", "inertias", "joint_axes",
     "centres_of_mass", "part_names", "transparent", "wireframe",
 )  # fmt: skip
-# Also accepted, but not a switch: joints whose torques are those of the model.
+# Name of the mask of joints whose torques are those of the model. It is accepted like a switch.
 MODELLED = "modelled"
-# The largest digit of switches with several values.
+# Largest digits of the switches that have more than two values.
 _MAX_DIGIT = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}
 
 
 def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
-    """Returns the digits of switches that differ from the declared ones, see `apply_switches`."""
+    """Returns the switches that differ from the declared ones, as texts for `apply_switches`."""
     declared = Toggles(world)
     found = {}
     for name in SWITCH_NAMES:
@@ -40,12 +40,13 @@ def switches_text(world: WorldView, toggles: Toggles) -> dict[str, str]:
 def apply_switches(
     world: WorldView, toggles: Toggles, digits_of: Mapping[str, str], selected: str | None = None
 ) -> None:
-    """Sets switches and the selected joint.
+    """Sets switches from texts, and selects a joint.
 
     Args:
-        digits_of: mapping from names in `SWITCH_NAMES` to digits: one digit for each item (joint,
-            frame, ...), or one digit for all items. 1 is on. For `arrow_quantity` and `part_names`,
-            digits are indices.
+        digits_of: mapping from names in `SWITCH_NAMES` to digits, with one digit for each item
+            (joint, frame or arrow) or one digit for all items. Digit 1 switches an item on. For
+            `arrow_quantity` and `part_names`, digits are indices.
+        selected: name of the joint to select; None to keep the selection.
 
     Raises:
         UsageError: a switch is unknown, or its digits are invalid.
@@ -55,23 +56,23 @@ def apply_switches(
         toggles.selected = find_joint(world, selected)
     for name, digits in digits_of.items():
         if name not in (*SWITCH_NAMES, MODELLED):
-            raise UsageError(f"no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
+            raise UsageError(f"there is no switch '{name}'{did_you_mean(name, SWITCH_NAMES)}")
         largest = _MAX_DIGIT.get(name, 1)
         if not digits or any(digit not in "0123456789"[: largest + 1] for digit in digits):
             raise UsageError(f"{name}: found '{digits}'; expected digits from 0 to {largest}")
         now = getattr(toggles, name)
         count = 1 if isinstance(now, int) else len(now)
         if len(digits) not in (1, count):
-            many = f", or {count}: one for each" if count > 1 else ""
-            raise UsageError(f"{name}: found {len(digits)} digits; expected one{many}")
-        if isinstance(now, int):  # also a bool
+            many = f", or {count} (one for each item)" if count > 1 else ""
+            raise UsageError(f"{name}: found {len(digits)} digits; expected one digit{many}")
+        if isinstance(now, int):  # an index or a bool
             setattr(toggles, name, type(now)(int(digits)))
             continue
         now[:] = [int(digit) for digit in digits] if len(digits) == len(now) else int(digits)
 
 
 def find_joint(world: WorldView, name: str) -> int:
-    """Returns the index of a joint such as `lwr/A2`. Raises UnknownName if it does not exist."""
+    """Returns the index of a joint such as `lwr/A2`. Raises UnknownName if there is none."""
     names = [joint_name(world, i) for i in range(len(world.joints.names))]
     if name not in names:
         raise UnknownName("joint", name, names)

@@ -1,8 +1,8 @@
-"""Computes the mipmaps of textures without OpenGL, for drafts.
+"""Computes the mipmaps of textures without OpenGL, for images of quality `draft`.
 
-Mesa's software renderer generates mipmaps with shaders that it compiles for every context. This
-takes 50 ms for the floor and 50 ms for the sky, more than rendering an image of a small robot. Mesa
-rounds mipmaps differently, which changes pixels by at most 3 of 255.
+The software renderer of Mesa generates mipmaps with shaders, which it compiles for each context.
+This takes 50 ms for the floor and 50 ms for the sky, which is more than the render time of a small
+robot. Mesa rounds mipmaps differently, which changes pixels by at most 3 of 255.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from ...base.frames import Ints
 from .image_files import Pixels
 
 _SRGB = mujoco.mjtColorSpace.mjCOLORSPACE_SRGB
-_FACES = 6  # faces of a cube, stored one below the other
+_FACES = 6  # number of faces of a cube texture, which are stored one below the other
 
 
 @contextmanager
 def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
-    """Omits textures from the OpenGL contexts that are created inside the `with` block.
+    """Omits textures from the OpenGL contexts that the `with` block creates.
 
-    The model is changed temporarily: one pixel of each omitted texture is uploaded.
+    The model is changed temporarily, so that only one pixel of each omitted texture is uploaded.
 
     Yields:
-        ids of the omitted textures, for `upload_textures`. These textures have plain colors, and
-        their sides are powers of two.
+        ids of the omitted textures, for `upload_textures`. They are the square or cube textures
+        with 3 channels, without the sRGB color space, whose sides are powers of two.
     """
     wide, tall = model.tex_width.copy(), model.tex_height.copy()
     is_cube = tall == _FACES * wide
@@ -43,7 +43,7 @@ def without_textures(model: mujoco.MjModel) -> Iterator[Ints]:
 
 
 def upload_textures(model: mujoco.MjModel, context: mujoco.MjrContext, textures: Ints) -> None:
-    """Uploads textures with all their mipmaps."""
+    """Uploads textures of a model and all their mipmaps to an OpenGL context."""
     from OpenGL import GL
 
     GL.glPixelStorei(GL.GL_UNPACK_ALIGNMENT, 1)

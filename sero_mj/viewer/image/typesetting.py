@@ -1,7 +1,7 @@
-"""`Typesetter`: sets panels of text in the font Inter, as images that are drawn over frames.
+"""`Typesetter`: renders panels with text in the font Inter, which are drawn over frames.
 
-Images are combined by `compose`, and in windows by OpenGL. Names, labels and units of a panel are
-set once. Only the numbers are set in every frame, from an atlas of digits of equal width.
+`compose` draws the panels over images, and OpenGL draws them in windows. Names, labels and units of
+a panel are rendered once. Only the numbers are updated in each frame, from digits of equal width.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ Rgb = tuple[float, float, float]
 Rgba = tuple[float, float, float, float]
 Size = tuple[int, int]
 
-_EM = 0.74  # fraction of a line's height
-_RADIUS = 0.28  # radius of the corners, fraction of a line's height
-_EDGE = 0.10  # fraction of white in a panel's outline
+_EM = 0.74  # font size, fraction of the line height
+_RADIUS = 0.28  # radius of the corners of panels, fraction of the line height
+_EDGE = 0.10  # fraction of white in the outline of panels
 _FIGURES = "0123456789.-+e"
 _MINUS = "\N{MINUS SIGN}"
 _NUMBER: Rgb = (1.0, 1.0, 1.0)
 _NAME: Rgb = (0.90, 0.93, 0.96)
-_QUIET: Rgb = (0.68, 0.73, 0.79)  # labels and units
-# Sizes of the caches; an image has about ten panels and a hundred texts.
+_QUIET: Rgb = (0.68, 0.73, 0.79)  # color of labels and units
+# Sizes of the caches. An image has about ten panels and a hundred texts.
 _CACHED_PANELS, _CACHED_TEXTS = 128, 512
 
 
 @dataclass(frozen=True)
 class PlacedText:
-    """A line of text in a panel. Characters that no font contains become question marks."""
+    """A text with its position in a panel, pixels. Question marks replace unknown characters."""
 
     x: float
     y: float
@@ -48,10 +48,10 @@ class PlacedText:
 
 @dataclass(frozen=True, eq=False)
 class PlacedPanel:
-    """A panel at its position in an image.
+    """A rendered panel with its position in an image, pixels.
 
     Attributes:
-        pixels: premultiplied RGBA, shape (height, width, 4), top row first.
+        pixels: premultiplied RGBA values, shape (height, width, 4), top row first.
     """
 
     left: int
@@ -60,7 +60,7 @@ class PlacedPanel:
 
 
 class Typesetter:
-    """Sets text of one font size."""
+    """A renderer of panels with text, for lines with a height of `line` pixels."""
 
     def __init__(self, line: int) -> None:
         size = _EM * line
@@ -79,7 +79,7 @@ class Typesetter:
         self.panel = lru_cache(_CACHED_PANELS)(self._set)
         self._figures = {c: self._figure(c, cell) for c, cell in cells.items()}
         self.font = Font(line, widths, has_columns=True, other=self._width)
-        self._last: dict[Hashable, Bytes] = {}  # panels of the last frame
+        self._last: dict[Hashable, Bytes] = {}  # rendered panels of the last frame
 
     def _figure(self, character: str, cell: int) -> Bytes:
         glyph = self._coverage(_MINUS if character == "-" else character, True)
@@ -198,7 +198,7 @@ def _background(size: tuple[int, int], rgba: Rgba, radius: float) -> Bytes:
     width, height = size
     x = np.abs(np.arange(width) + 0.5 - width / 2) - width / 2
     y = np.abs(np.arange(height) + 0.5 - height / 2)[:, None] - height / 2
-    # Distance from the edge, negative inside.
+    # Distance from the edge of the panel, negative inside.
     outside = np.hypot(np.maximum(x + radius, 0), np.maximum(y + radius, 0))
     distance = outside + np.minimum(np.maximum(x + radius, y + radius), 0) - radius
     alpha = rgba[3] * np.clip(0.5 - distance, 0, 1)[..., None]
@@ -219,14 +219,14 @@ def _blend(out: Bytes, coverage: Bytes, left: int, top: int, rgb: Rgb) -> None:
 
 
 def compose(image: Bytes, panels: Sequence[PlacedPanel]) -> None:
-    """Lays panels over an image (height, width, 3), top row first, in place."""
+    """Draws panels over an image, shape (height, width, 3), top row first, in place."""
     height, width = image.shape[:2]
     for placed in panels:
         top, left = height - placed.bottom - placed.pixels.shape[0], placed.left
         y, x = max(top, 0), max(left, 0)
         over = placed.pixels[y - top :, x - left :][: max(height - y, 0), : max(width - x, 0)]
         below = image[y : y + over.shape[0], x : x + over.shape[1]]
-        # These steps take half the time of one numpy expression that broadcasts alpha.
+        # These steps take half the time of a single NumPy expression that broadcasts alpha.
         through = np.repeat(256 - over[..., 3].astype(np.uint16), 3, axis=1)
         mixed = below.astype(np.uint16)
         mixed *= through.reshape(mixed.shape)

@@ -20,12 +20,12 @@ from .image_files import Pixels
 from .image_options import VideoOptions
 from .sampling import known_poses, sampled_states
 
-_TURNS = 24  # steps of a turntable for which the robots have to be in the image
+_TURNS = 24  # number of steps of a turntable in which the robots must be in the image
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
-SUBFRAMES = 8
+SUBFRAMES = 8  # number of subframes of a frame with motion blur
 SHUTTER = 0.5  # exposure time, fraction of the time between two frames
-_MIN_SHIFT = 0.5  # pixels; smaller motion needs no new image
-_LEVELS = 1 << 16  # levels of linear light that distinguish the darkest two of 256 levels
+_MIN_SHIFT = 0.5  # minimum motion in pixels that needs a new image
+_LEVELS = 1 << 16  # number of levels of linear light, which distinguish the two darkest colors
 # Source: IEC 61966-2-1 (sRGB).
 _CODES = np.arange(256) / 255
 _LINEAR = np.where(
@@ -38,7 +38,7 @@ OnState = Callable[[mujoco.MjData], None]
 
 
 class VideoRenderer(Protocol):
-    """A renderer for videos, such as a `HeadlessRenderer`. Its camera may move between frames."""
+    """A renderer for videos, such as `HeadlessRenderer`, whose camera may move between frames."""
 
     world: WorldView
     camera: mujoco.MjvCamera
@@ -64,7 +64,7 @@ def video_frames(
     on_first: OnState = lambda data: None,
     on_state: OnState = lambda data: None,
 ) -> Iterator[Pixels]:
-    """Yields the rendered image of every frame, always in the same array."""
+    """Yields the rendered image of each frame of a video, always in the same array."""
     _check_motion(renderer, options)
     path = None if options.camera_path is None else read_camera_path(options.camera_path)
     if path is not None and path.has_look_at:
@@ -161,7 +161,7 @@ def _check_motion(renderer: VideoRenderer, options: VideoOptions) -> None:
 
 
 class Exposure:
-    """Averages the images of a frame's subframes, which are at equal intervals.
+    """The mean of the images of all subframes of a frame, which are at equal intervals.
 
     If nothing has moved since the last subframe, its image is reused.
     """
@@ -173,7 +173,7 @@ class Exposure:
         self._count = 0
 
     def moves(self, view: ImageView, points: Array) -> bool:
-        """Returns whether a subframe needs a new image, which the caller passes to `add`.
+        """Returns whether a subframe needs a new image, which the caller then passes to `add`.
 
         Args:
             view: view of the camera in this subframe.

@@ -1,4 +1,4 @@
-"""The help dialog, and the dialog about a file that requests to run programs (`base.trust`)."""
+"""The help dialog, and the dialog that asks whether a file may run programs (`base.trust`)."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..session.widgets import Widgets
 
 HELP_TITLE = "Mouse and keys"
 REQUEST_TITLE = "This file requests to run programs"
-# Widths in text heights. A narrower help shows the columns one below the other.
+# Widths of the dialogs in text heights. A narrower help has one column below the other.
 HELP_WIDTH, REQUEST_WIDTH = 56.0, 34.0
 _INPUT = 9.6  # width of the column of keys, in text heights
-_MAX_SHOWN = 2000  # characters of an action
+_MAX_SHOWN = 2000  # maximum length of the text of an action, characters
 
 
 def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
-    """Builds the help from `session.keys.help_columns`."""
+    """Builds the help dialog from columns of `session.keys.help_columns`."""
     is_wide = ui.room()[0] >= 0.9 * HELP_WIDTH
     if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
         return
@@ -69,11 +69,13 @@ def build_request(
     allow: Callable[[], object],
     dismiss: Callable[[], object],
 ) -> None:
-    """Builds the dialog about the programs of a file.
+    """Builds the dialog that asks whether a file may run programs.
 
     Args:
-        can_allow: whether the user can allow the request, which is possible only on the machine
+        can_allow: whether the user can allow the request. This is possible only on the machine
             that runs the programs.
+        allow: function that is called if the user allows the request.
+        dismiss: function that is called if the user declines the request.
     """
     ui.text(f"{printable(without_temporary(str(request.file)))} is displayed but not simulated.")
     ui.text("Simulating it would run the following on your computer, with your permissions:")

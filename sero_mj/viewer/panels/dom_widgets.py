@@ -1,7 +1,7 @@
 """`DomWidgets`: the widgets of pages, as a tree of nodes that the browser shows as HTML elements.
 
-A panel is built again for every update, as in windows. A user action is stored until its widget is
-built again, and that call returns the action.
+A panel is rebuilt for each update, as in windows. A user action is stored until its widget is built
+again. The call that builds the widget returns the action.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ Node = dict[str, Any]
 
 _CHARACTER = 0.52  # mean width of a character, in text heights
 _DIGITS = 5  # significant digits of numbers in plots
-# Heights in `panels.css`, in text heights: line of widgets, line of text, gap below a plot.
+# Heights of `panels.css` in text heights: a line of widgets, a line of text, the gap below a plot.
 _LINE, _TEXT_LINE, _GAP = 2.3, 1.45, 0.3
 
 
 class _Tree:
     def __init__(self) -> None:
         self.folds: dict[str, bool] = {}
-        self._is_open: dict[str, bool] = {}  # nodes that the user has opened or closed
+        self._is_open: dict[str, bool] = {}  # state of nodes that the user has opened or closed
         self._sections: set[str] = set()  # ids of foldable sections
         self._branches: set[str] = set()  # ids of foldable nodes
-        self._widgets: set[str] = set()  # ids of the last built panel
-        self._done: dict[str, Any] = {}  # value that the user has set, by id
+        self._widgets: set[str] = set()  # ids of the widgets of the last built panel
+        self._done: dict[str, Any] = {}  # maps ids of widgets to values that the user has set
         self._begin((0.0, 0.0))
 
     def _begin(self, size: tuple[float, float]) -> None:
@@ -45,27 +45,28 @@ class _Tree:
         self._next: Node = {}  # keys of the next node
 
     def act(self, id_: str, value: Any) -> None:
-        """Stores the user's action on a widget; ignores unknown ids."""
+        """Stores the action of a user on a widget, and ignores unknown ids."""
         if id_ in self._widgets:
             self._done[id_] = value
 
     def fold(self, id_: str, *, is_open: bool) -> None:
-        """Opens or closes a section or node; ignores unknown ids."""
+        """Opens or closes a section or node, and ignores unknown ids."""
         if id_ in self._sections:
             self.folds[id_] = is_open
         elif id_ in self._branches:
             self._is_open[id_] = is_open
 
     def tree_of(self, build: Callable[[], object], size: tuple[float, float]) -> list[Node]:
-        """Returns the nodes that a function builds.
+        """Returns the nodes of a panel.
 
         Args:
+            build: function that builds the panel.
             size: width and height of the panel, in text heights.
         """
         self._begin(size)
         self._widgets = set()
         build()
-        self._done.clear()  # also for widgets that are no longer shown
+        self._done.clear()  # this also removes actions on widgets that are no longer shown
         return self._nodes
 
     def _id(self, label: str) -> str:
@@ -92,10 +93,10 @@ class _Tree:
 
 
 class DomWidgets(_Tree):
-    """Implements `Widgets` as nodes, which `js/src/panels.js` reads.
+    """An implementation of `Widgets` for pages. Its nodes are read by `js/src/panels.js`.
 
     Args:
-        to_clipboard: function that copies text to the clipboard of the browser in control.
+        to_clipboard: function that copies a text to the clipboard of the browser in control.
     """
 
     points, interval = 320, 1.0 / 15.0
@@ -248,7 +249,7 @@ class DomWidgets(_Tree):
 
 
 def _height_of(nodes: Sequence[Node], width: float) -> float:
-    """Returns the approximate height of nodes, in text heights."""
+    """Returns the approximate height of nodes in a panel, in text heights."""
     height = last = 0.0
     for node in nodes:
         own = _LINE

@@ -8,7 +8,7 @@ from typing import Any
 from ..session.status_line import Mood
 from ..session.widgets import Plot, PlotLine, Rgb, Ticks
 
-# For light and dark themes. The contrast with the window is at least 4.5 (WCAG).
+# Colors for light and dark themes. The contrast with the window is at least 4.5 (WCAG).
 MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
     "good": ((0.04, 0.41, 0.16), (0.55, 0.85, 0.62)),
     "quiet": ((0.47, 0.33, 0.00), (0.95, 0.80, 0.40)),
@@ -17,28 +17,28 @@ MOODS: dict[Mood, tuple[Rgb, Rgb]] = {
     "title": ((0.55, 0.30, 0.00), (1.00, 0.72, 0.30)),
 }
 _LIMIT: Rgb = (0.85, 0.30, 0.30)
-_GRAB = 0.6  # width of a slider's knob, in text heights
-_EDGE = 2.0  # distance of the knob from the slider's ends, pixels
-_TICK = 0.28  # height of the marks at the slider's edges, of its height
+_GRAB = 0.6  # width of the knob of a slider, in text heights
+_EDGE = 2.0  # distance of the knob from the ends of the slider, pixels
+_TICK = 0.28  # height of marks at the edges of a slider, fraction of the slider height
 _BESIDE = 0.9  # margin of a plot for the last number of the axis, in text heights
-_LINE = 1.75  # width of lines, pixels
-# The text of a mark is shown within this fraction of the slider's length around the mark, and for
-# this time after the mark, s.
+_LINE = 1.75  # width of lines in plots, pixels
+# The text of a mark is shown if the knob is within this fraction of the slider length around the
+# mark, and until this time in seconds after the mark.
 _NEAR, _AFTER = 0.012, 1.0
 _TIP = 22.0  # maximum width of a tooltip, in text heights
 
 
 class ImguiWidgets:
-    """Implements `Widgets`."""
+    """An implementation of `Widgets` for windows."""
 
     points, interval = 980, 0.0
 
     def __init__(self, imgui: Any, implot: Any) -> None:
         self._imgui, self._implot = imgui, implot
         self.folds: dict[str, bool] = {}
-        self._unfolded: dict[str, bool] = {}  # state in the last frame
+        self._unfolded: dict[str, bool] = {}  # state of sections in the last frame
         self._scopes: list[str] = []
-        # Methods that ImGui has with the same meaning.
+        # ImGui has functions with the same meaning as these methods.
         self.row, self.cell = imgui.table_next_row, imgui.table_next_column
         self.end_table, self.end_tree = imgui.end_table, imgui.tree_pop
         self.enable, self.check = imgui.end_disabled, imgui.checkbox

@@ -1,4 +1,4 @@
-"""`JogPanel`: joint sliders of robots that the user moves, with fields to type and copy poses."""
+"""`JogPanel`: joint sliders and pose fields for robots that the user moves."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..session.joint_goal import JointGoal, as_command, as_python, as_toml
 from ..session.widgets import Widgets
 
 UNITS = ("deg", "rad")
-_MAX_SECTIONS, _MAX_OPEN = 3, 2  # robots with separate sections, and initially open sections
+_MAX_SECTIONS, _MAX_OPEN = 3, 2  # maximum number of sections, and of initially open sections
 # Widths of columns and of a character, in text heights.
 _MIN_NAME, _MAX_NAME, _NUMBER, _CHARACTER = 3.2, 8.0, 4.6, 0.56
 _POSE = (("x", 0), ("y", 1), ("z", 2), ("roll", 0), ("pitch", 1), ("yaw", 2))
@@ -26,6 +26,7 @@ def build_each(
 
     Args:
         verb: first word of the section titles.
+        build: function that builds the contents for a robot name.
     """
     are_many = len(names) > _MAX_SECTIONS
     if are_many and not ui.header(f"{verb} {len(names)} robots"):
@@ -41,12 +42,12 @@ def build_each(
 
 
 class JointSliders:
-    """Sliders and number fields of the joints of a robot, in a tree if the robot branches.
+    """Sliders and number fields for joint angles, in a tree if the robot branches.
 
-    A button for the declared pose and the choice of the unit are below the sliders.
+    Below the sliders are a button for the declared pose and a drop-down list of units.
 
     Attributes:
-        unit: index of the unit in `UNITS`; all robots have the same unit.
+        unit: index in `UNITS` of the unit of joint angles, which is the same for all robots.
     """
 
     def __init__(self) -> None:
@@ -88,7 +89,7 @@ class JointSliders:
             ui.disable(is_off=joint not in free)
             ui.width(0.0)
             value = factor * float(angles[joint])
-            # The slider shows no number, because the number is in the field beside it.
+            # The slider shows no number, because the field beside the slider shows it.
             moved, wanted = ui.slide(f"##{name}", value, factor * low, factor * high, "")
             ui.tip(f"{name}: {factor * low:.4g} to {factor * high:.4g} {unit}")
             ui.cell()
@@ -101,10 +102,10 @@ class JointSliders:
 
 
 def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
-    """Builds a tree of number fields with the flange pose relative to the base, m and degrees.
+    """Builds a tree with number fields for the flange pose of a robot relative to its base.
 
     Args:
-        base: T_world_base (4, 4), m.
+        base: T_world_base, shape (4, 4), m.
     """
     if not ui.tree(label):
         return
@@ -134,7 +135,7 @@ def build_flange(ui: Widgets, label: str, goal: JointGoal, base: Array) -> None:
 
 
 class JogPanel:
-    """The panel of the robots that the user moves."""
+    """The panel for robots that the user moves."""
 
     def __init__(
         self, world: WorldView, goals: Mapping[str, JointGoal], base: Callable[[str], Array]

@@ -1,4 +1,4 @@
-"""`RobotPanel`: switches and sizes of all robots and doubles."""
+"""`RobotPanel`: the panel with the switches and sizes of all robots and doubles."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..decor.quantities import QUANTITY_NAMES, joint_name
 from ..decor.toggles import Toggles
 from ..session.widgets import Widgets
 
-_SEARCHABLE = 8  # more joints are shown with a search field
-_MAX_FOUND = 60  # joints in the result of a search
-_MAX_OPEN = 3  # robots whose sections are initially open
+_SEARCHABLE = 8  # number of joints above which there is a search field
+_MAX_FOUND = 60  # maximum number of joints in the result of a search
+_MAX_OPEN = 3  # maximum number of sections that are initially open
 _MAX_SCALE = 3.0  # maximum factor by which a slider scales a declared size
 _FLAG_NAMES = {
     "legend": "legend",
@@ -25,14 +25,14 @@ _FLAG_NAMES = {
 }
 # Lengths in units of the text height.
 _SECOND = 8.6  # left edge of the second widget of a line
-_SLIDER = 8.6  # width
+_SLIDER = 8.6  # width of sliders and lists
 
 
 def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
-    """Returns the tree of robots and doubles, each in the first of its groups.
+    """Returns the groups of robots and doubles as a tree, in which each item is in one group.
 
     Returns:
-        mapping from groups to members, and the top level: everything that is in no group.
+        mapping from groups to the names of their members, and names of all items in no group.
     """
     scene = world.scene
     declared = {name: group.robots for name, group in scene.groups.items()} | scene.double_groups
@@ -47,22 +47,22 @@ def tree_of_owners(world: WorldView) -> tuple[dict[str, list[str]], list[str]]:
 
 
 def build_handle(ui: Widgets, key: str) -> bool:
-    """Builds the button that opens the panel; returns whether the button was pressed."""
+    """Builds the button that opens the panel, and returns whether the button was pressed."""
     is_pressed = ui.button("panel")
     ui.tip(f"switches, sources and sizes ({key})")
     return is_pressed
 
 
 class RobotPanel:
-    """Switches and size sliders of all robots and doubles.
+    """The panel with switches and size sliders of all robots and doubles.
 
     Sliders scale the declared sizes.
 
     Args:
-        world: the compiled scene, whose sizes are changed in place.
+        world: compiled scene, whose sizes the panel changes in place.
 
     Attributes:
-        on_select: called with the joint that the user clicks.
+        on_select: function that is called with the index of the joint that the user clicks.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles) -> None:
@@ -71,7 +71,7 @@ class RobotPanel:
         self.on_select: Callable[[int], None] = lambda joint: None
         joints, frames = world.joints, world.frames
         self._members, self._tops = tree_of_owners(world)
-        # Label, scaled array, kind of the array's rows, and declared values.
+        # Label, scaled array, kind of its rows, and declared values.
         self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),

@@ -1,4 +1,4 @@
-"""`SignalPlots`: the plots of signals that the user has arranged."""
+"""`SignalPlots`: plots of signals that the user selects."""
 
 from __future__ import annotations
 
@@ -11,28 +11,28 @@ from ..session.signals import PlotSignal, PlotSignals
 from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 from .torque_plots import time_plot, with_gaps
 
-# Distinct for the color-blind, on a dark background (after Okabe and Ito).
+# Colors that are distinct for the color-blind on a dark background (after Okabe and Ito).
 _COLORS: tuple[Rgb, ...] = (
     *((0.45, 0.78, 1.0), (1.0, 0.62, 0.18), (0.75, 0.88, 0.45), (0.80, 0.60, 0.70)),
     *((0.94, 0.89, 0.26), (0.00, 0.62, 0.45), (0.84, 0.37, 0.00), (0.90, 0.90, 0.90)),
 )
 MAX_PLOTS, MAX_LINES = 8, len(_COLORS)
-_MIN_RANGE = 1e-9  # half of the range
+_MIN_RANGE = 1e-9  # minimum half range of the y axis
 _NEW = "new plot"
 _HINT = "add or remove a signal"
 _SHOWN = " (shown)"
 # Lengths in units of the text height.
 _TARGET, _GROUP = 7.0, 7.0  # widths of drop-down lists
-_MIN_HEIGHT = 8.0  # minimum height of a plot; the area scrolls if there is not enough space
+_MIN_HEIGHT = 8.0  # minimum height of a plot; if there is not enough space, the area scrolls
 
 
 class SignalPlots:
-    """Plots of signals, and the drop-down lists that add and remove signals."""
+    """Plots of signals over time, with drop-down lists that add and remove signals."""
 
     def __init__(self, signals: PlotSignals) -> None:
         self._signals = signals
         self.shown: list[list[PlotSignal]] = []
-        self._target, self._group = 0, 0  # plot and group that are chosen in the lists
+        self._target, self._group = 0, 0  # plot and group that are selected in the lists
         self._plots: list[Plot] = []
         self._built: list[list[PlotSignal]] = []  # signals of `_plots`
         self._when = float("-inf")
@@ -46,9 +46,9 @@ class SignalPlots:
             self.shown.append([signal])
 
     def toggle(self, plot: int, signal: PlotSignal) -> str:
-        """Adds a signal to a plot, or removes the signal if the plot already shows it.
+        """Adds a signal to a plot, or removes it if the plot already shows it.
 
-        If there is no plot with this index, the signal is added to a new plot.
+        If there is no plot with the index `plot`, the signal is added to a new plot.
 
         Returns:
             reason why the signal cannot be added, or an empty string.
@@ -69,7 +69,7 @@ class SignalPlots:
         return ""
 
     def build_choice(self, ui: Widgets) -> str:
-        """Builds the lists of plots, groups and signals; returns an error or an empty string."""
+        """Builds the lists of plots, groups and signals, and returns an error message or ""."""
         groups = self._signals.groups
         if not groups:
             return ""
@@ -91,7 +91,7 @@ class SignalPlots:
         return self.toggle(self._target, PlotSignal(group, names[chosen - 1]))
 
     def build(self, ui: Widgets, now: float) -> None:
-        """Builds the plots, which share the remaining height."""
+        """Builds all plots up to the time `now` in seconds. They share the remaining height."""
         if not self.shown:
             return
         passed = time.monotonic() - self._when

@@ -1,4 +1,4 @@
-"""Status line, timeline, and the panel section that lists the sources with their counters."""
+"""The status line, the timeline, and the panel section that lists sources and their counters."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ..session.clock import SPEEDS, Clock, Tick, time_text
 from ..session.status_line import Mood, Piece, clock_text, source_text
 from ..session.widgets import Widgets
 
-_GAP = 1.4  # gap between parts, in text heights
-_READABLE = 0.25  # minimum time for which a number is shown, s
+_GAP = 1.4  # gap between texts, in text heights
+_READABLE = 0.25  # minimum time for which a counter is shown, s
 
 
 def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
-    """Builds the parts that fit into the width, the most important first."""
+    """Builds the status line from the texts that fit into it, the most important first."""
     width, _ = ui.room()
-    end = 0.0  # right edge of the last part
+    end = 0.0  # right edge of the last text
     for words, mood in pieces:
         start, wide = end + (_GAP if end else 0.0), ui.wide(words)
         if start + wide > width:
@@ -35,10 +35,10 @@ def build_status_line(ui: Widgets, pieces: Sequence[Piece], hint: str) -> None:
 
 
 class SourcesPanel:
-    """The section of a panel with the clock and all sources."""
+    """The section of a panel that shows the clock, and errors and counters of all sources."""
 
     def __init__(self) -> None:
-        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents
+        self._reports: dict[str, tuple[float, dict[str, Any]]] = {}  # time and contents of reports
 
     def build(
         self, ui: Widgets, clock: Clock, sources: Collection[Source], *, is_open: bool
@@ -76,13 +76,13 @@ class SourcesPanel:
         return found
 
 
-# Widths, in text heights.
+# Widths in text heights.
 _PAUSE, _SPEED = 3.4, 4.6
-_NARROW = 30.0  # a narrower timeline has no list of speeds
+_NARROW = 30.0  # minimum width of a timeline with a list of speeds
 
 
 def build_timeline(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
-    """Builds the timeline and its buttons, in one line."""
+    """Builds the timeline of a clock with marks (`ticks`), and its buttons, in one line."""
     is_wide = ui.room()[0] >= _NARROW
     is_still = clock.is_paused or clock.is_at_end
     if ui.button(f"{'play' if is_still else 'pause'}###pause", _PAUSE):
@@ -114,7 +114,7 @@ def build_timeline(ui: Widgets, clock: Clock, ticks: Sequence[Tick]) -> None:
         moved, wanted = ui.slide("##time", clock.time, clock.begin, clock.end, text, marked)
         if moved:
             clock.seek(wanted)
-            # A click on a mark pauses there, like the keys for marks.
+            # A click on a mark pauses the clock at this mark, as the keys for marks do.
             clock.is_paused |= any(wanted == tick.time for tick in ticks)
 
 

@@ -1,4 +1,4 @@
-"""`TorquePlots`: measured and commanded torque of a joint over time, and the torque error."""
+"""`TorquePlots`: plots of the measured torque, commanded torque and torque error of a joint."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from ..session.binned_history import SPAN
 from ..session.torque_history import TorqueHistory, split_at_gaps
 from ..session.widgets import Plot, PlotLine, Rgb, Widgets
 
-# Light blue and orange: distinct for the color-blind and on a dark background.
+# Light blue and orange are distinct for the color-blind and on a dark background.
 _MEASURED: Rgb = (0.45, 0.78, 1.0)
 _COMMANDED: Rgb = (1.0, 0.62, 0.18)
 _ERROR: Rgb = (0.75, 0.88, 0.45)
-_MIN_RANGE = 0.5  # half of the range, in the joint's unit
+_MIN_RANGE = 0.5  # minimum half range of the y axis, in the unit of the joint
 # Lengths in units of the text height.
 _NAMES, _BESIDE = 11.0, 8.0  # widths of the list of joints, and of the text beside the list
-_ROOM_FOR_TWO = 20.0  # minimum height with a plot of the error
-_SHARE = 0.56  # fraction of the height for the torques
+_ROOM_FOR_TWO = 20.0  # minimum height at which the error is plotted, too
+_SHARE = 0.56  # height of the torque plot, fraction of the total height
 _MIN_HEIGHT = 4.0  # minimum height of a plot
-_NOTE = 2.2  # height of the text that replaces the plot of the error
+_NOTE = 2.2  # height of the text that replaces the error plot
 
 
 class TorquePlots:
-    """Plots the torque history of one joint, with the limits."""
+    """Plots of the torques of one joint over time, with its limits."""
 
     def __init__(self, world: WorldView, points: int, interval: float = 0.0) -> None:
         self._world, self._points, self._interval = world, points, interval
@@ -38,10 +38,10 @@ class TorquePlots:
         self._joint = -1
 
     def build(self, ui: Widgets, history: TorqueHistory, joint: int, height: float = np.inf) -> int:
-        """Builds the plots of a joint; returns the joint that the user has selected.
+        """Builds the plots of a joint, and returns the index of the joint that the user selects.
 
         Args:
-            height: maximum height, in text heights.
+            height: maximum height of the plots, in text heights.
         """
         ui.width(max(min(_NAMES, ui.room()[0] - _BESIDE), 1.0))
         changed, chosen = ui.choose("##joint", joint, self._names)
@@ -94,16 +94,16 @@ def _without(what: str, torques: Plot) -> str:
     return f"no {which}{what}s are received, so no error can be plotted"
 
 
-_NEAR = 0.8  # values beyond this fraction of the limit bring the limit into view
+_NEAR = 0.8  # fraction of the limit beyond which values bring the limit into view
 _MARGIN = 1.15  # visible range, relative to the range of the values
-_MIN_RATIO = 1e-3  # half of the range, relative to the center of the range
+_MIN_RATIO = 1e-3  # minimum half range, relative to the magnitude of the center
 
 
 def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float) -> Plot:
-    """Returns a plot of the last seconds.
+    """Returns a plot of lines over the last seconds.
 
     Args:
-        limit: magnitude of the limit, which is marked; inf for no limit.
+        limit: magnitude of the limit that the plot marks; inf for no limit.
         least: minimum half range of the y axis.
     """
     values = np.concatenate([line.y for line in lines]) if lines else np.zeros(0)
@@ -111,7 +111,7 @@ def time_plot(label: str, lines: Sequence[PlotLine], limit: float, least: float)
 
 
 def with_gaps(times: Array, values: Array) -> tuple[Array, Array]:
-    """Returns the samples of a line, with one NaN in every gap."""
+    """Returns the times and values of a line with one NaN in each gap of the samples."""
     values = values.astype(float)
     x, y = [times[:0]], [values[:0]]
     for piece in split_at_gaps(times, values):
@@ -127,8 +127,9 @@ def y_range(values: Array, limit: float, least: float) -> tuple[float, float]:
     """Returns the lower and upper end of the y axis, rounded so that the axis rarely changes.
 
     Args:
-        limit: magnitude of the limit, inf for no limit. The range includes the limit if values
-            are close to it.
+        limit: magnitude of the limit; inf for no limit. The range includes the limit if values are
+            close to it.
+        least: minimum half range.
     """
     finite = values[np.isfinite(values)]
     low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 0.0)

@@ -1,7 +1,7 @@
 """Widgets that a program adds to a viewer: slider, number, check box, choice, button and text.
 
 The program creates and validates a widget, and the viewer builds the widget in another process. A
-new kind needs a class here and a method of `program.panels.UserPanel`.
+new kind of widget needs a class in this file and a method of `program.panels.UserPanel`.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from ..session.widgets import Widgets
 
 Value = TypeVar("Value")
 
-TOOL = "user_panels"  # the tool that shows the widgets
+TOOL = "user_panels"  # name of the tool that shows the widgets
 _WIDTH = 9.0  # width of sliders and fields, in text heights
-_DIGITS = 7  # significant digits of a slider's value, which is a float32
+_DIGITS = 7  # significant digits of the values of sliders, which are float32 numbers
 
 
 def check_label(what: str, label: object) -> None:
-    """Raises UsageError if `label` is not a valid label; `what` names it in the message."""
+    """Raises a UsageError, which begins with the text `what`, if a label is invalid."""
     if not isinstance(label, str) or not label.strip() or "##" in label:
         raise UsageError(f"{what}: found {shown(label)}; expected a text without '##'")
 
 
 def to_number(label: str, value: object) -> float:
-    """Returns a finite number as float; raises UsageError for anything else."""
+    """Converts a value to a finite float, or raises a UsageError that names the label."""
     try:
         number = float(value)  # type: ignore[arg-type]
     except (TypeError, ValueError):
@@ -40,10 +40,10 @@ def to_number(label: str, value: object) -> float:
 
 @dataclass(frozen=True)
 class UserWidget(Generic[Value]):
-    """Base class of the widgets, which have no state.
+    """Base class of the widgets that a program adds to a viewer. Widgets do not store their values.
 
     Attributes:
-        label: displayed label, unique in the panel.
+        label: displayed label, which must be unique in the panel.
     """
 
     label: str
@@ -52,21 +52,21 @@ class UserWidget(Generic[Value]):
         check_label("label", self.label)
 
     def checked(self, value: object) -> Value:
-        """Returns the value in the type of the widget; raises UsageError if it is invalid."""
+        """Converts a value to the type of the widget, or raises UsageError if it is invalid."""
         raise NotImplementedError
 
     def build(self, ui: Widgets, value: Value) -> object:
-        """Builds the widget; returns the value that the user has set, or None."""
+        """Builds the widget, and returns the value that the user has set, or None."""
         raise NotImplementedError
 
     def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """Returns the arguments of each callback call that a change causes."""
+        """Returns the arguments of all callback calls that a change of the value causes."""
         return [(now,)]
 
 
 @dataclass(frozen=True)
 class NumberWidget(UserWidget[float]):
-    """A number field."""
+    """A field for a number with a minimum, a maximum and a unit."""
 
     low: float = -math.inf
     high: float = math.inf
@@ -104,7 +104,7 @@ class NumberWidget(UserWidget[float]):
 
 @dataclass(frozen=True)
 class SliderWidget(NumberWidget):
-    """A slider."""
+    """A slider for a number."""
 
     def build(self, ui: Widgets, value: float) -> object:
         ui.width(_WIDTH)
@@ -139,7 +139,7 @@ class ChoiceWidget(UserWidget[str]):
             check_label(f"{self.label}: names", name)
         if len({*self.names}) < max(len(self.names), 1):
             found = shown([*self.names])
-            raise UsageError(f"{self.label}: found the names {found}; expected different ones")
+            raise UsageError(f"{self.label}: found the names {found}; expected different names")
 
     def checked(self, value: object) -> str:
         if value not in self.names:
@@ -185,11 +185,11 @@ Place = tuple[str, str]  # title of the panel and label of the widget
 
 
 class WidgetState(NamedTuple):
-    """A widget in a message to the viewer.
+    """The state of a widget, which the program sends to the viewer.
 
     Attributes:
-        number: number of the last change by the program.
-        order: position in the panel.
+        number: sequence number of the last change by the program.
+        order: position of the widget in its panel.
     """
 
     widget: UserWidget[Any]

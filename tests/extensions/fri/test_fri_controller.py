@@ -288,8 +288,8 @@ def test_scene_shows_the_values_of_the_controller(lwr: SerialRobot) -> None:
         (["lwr_fri", "--cycle", "2", "--rate", "9"], "--cycle and --rate both set the cycle"),
         (["lwr_fri", "--quality", "god"], "no quality 'god'; available: bad, invalid, ok, per"),
         (["lwr_fri", "--loss", "1.5"], "--loss: found '1.5'; expected a share from 0 to 1"),
-        (["lwr_fri", "--seed", "-1"], "--seed: found '-1'; expected a whole number from 0"),
-        (["lwr_fri", "--structure", "7F"], "--structure: FRI fixes it; leave it out"),
+        (["lwr_fri", "--seed", "-1"], "--seed: found '-1'; expected a whole number of 0"),
+        (["lwr_fri", "--structure", "7F"], "--structure: FRI determines it; leave it out"),
         (["lwr_udp", "--loss", "0.1"], '--loss needs a source of kind = "fri"'),
     ],
 )

@@ -170,7 +170,7 @@ def test_framed_message_of_2_7_is_checked() -> None:
 @pytest.mark.parametrize(
     ("message", "fault"),
     [
-        (b"", "it has no header"),
+        (b"", "the header is missing"),
         (monitoring()[:-1], "field 5 has "),
         (monitoring()[:200], "field 3 has "),
         (b"\x0b", "byte 0 is not the start of a field"),

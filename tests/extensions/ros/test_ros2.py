@@ -391,7 +391,7 @@ def test_invalid_descriptions_are_reported(
         ("ros2://:999", "domain 999; expected 0 to 232"),
         ("ros2://:x", "expected ros2://HOST:DOMAIN/NAMESPACE"),
         ("ros2://?robto=fr3", "no field 'robto'; did you mean 'robot'?"),
-        ("ros2://?torque_constants=a", "torque_constants: found 'a'; expected numbers, Nm/A"),
+        ("ros2://?torque_constants=a", "torque_constants: found 'a'; expected numbers in Nm/A"),
         ("ros2://:230", "ROS 2 domain 230 on localhost has no publisher"),
     ],
 )

@@ -1,0 +1,178 @@
+"""Tables and the diagram of the verdicts: reliability, wrong verdicts, and confusion."""
+
+from __future__ import annotations
+
+from collections import Counter, defaultdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from faults import CLEAN, NAMED
+from judge import UNEXPLAINED, wilson
+
+from sero_mj.study import figure
+
+EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.01)
+BINS = ("below 50 %", "50 to 80 %", "80 to 90 %", "90 to 95 %", "95 to 98 %", "98 to 99 %")
+SURE = 0.9
+Row = dict[str, Any]
+
+
+def bin_of(confidence: float) -> int:
+    return int(np.searchsorted(EDGES, confidence, side="right")) - 1
+
+
+def counts(rows: list[Row], *, is_named: bool | None = None) -> list[tuple[int, int]]:
+    """Returns the number of right verdicts and of all verdicts in each bin of confidence."""
+    found = [[0, 0] for _ in BINS]
+    for row in rows:
+        for each in row["verdicts"]:
+            if is_named is None or is_named == (each["kind"] != UNEXPLAINED):
+                found[bin_of(each["confidence"])][0] += each["right"]
+                found[bin_of(each["confidence"])][1] += 1
+    return [(right, count) for right, count in found]
+
+
+def reliability(rows: list[Row]) -> str:
+    """Returns a Markdown table: right verdicts of all verdicts by robot and confidence."""
+    lines = [f"| verdicts | {' | '.join(BINS)} |", f"|---|{'---|' * len(BINS)}"]
+    for robot in dict.fromkeys(row["robot"] for row in rows):
+        mine = [row for row in rows if row["robot"] == robot]
+        for title, is_named in (("named", True), (UNEXPLAINED, False)):
+            cells = [_cell(*each) for each in counts(mine, is_named=is_named)]
+            lines.append(f"| {robot}, {title} | {' | '.join(cells)} |")
+    lines.append(f"| all | {' | '.join(_cell(*each) for each in counts(rows))} |")
+    return "\n".join(lines)
+
+
+def _cell(right: int, count: int) -> str:
+    low, high = wilson(right, count)
+    share = f": {right / count:.0%} ({low:.0%} to {high:.0%})" if count else ""
+    return f"{right} of {count}{share}".replace("%", " %")
+
+
+def detection(rows: list[Row]) -> str:
+    """Returns a Markdown table of the runs by what was reported about them."""
+    lines = ["| robot | faults with a name | rightly named | only `unexplained` | only wrong names "
+             "| nothing | faults without a name | no wrong name | clean runs | no verdict |",
+             f"|{'---|' * 10}"]  # fmt: skip
+    for robot in dict.fromkeys(row["robot"] for row in rows):
+        mine = [row for row in rows if row["robot"] == robot]
+        known = [row["verdicts"] for row in mine if row["fault"] in NAMED]
+        names = [[each for each in found if each["kind"] != UNEXPLAINED] for found in known]
+        named = sum(any(each["fits"] for each in found) for found in names)
+        wrong = sum(bool(found) and not any(e["fits"] for e in found) for found in names)
+        empty = sum(not found for found in known)
+        other = [r["verdicts"] for r in mine if r["fault"] not in (*NAMED, CLEAN)]
+        fine = sum(all(e["right"] or e["kind"] == UNEXPLAINED for e in found) for found in other)
+        clean = [row["verdicts"] for row in mine if row["fault"] == CLEAN]
+        numbers = [len(known), named, len(known) - named - wrong - empty, wrong, empty,
+                   len(other), fine, len(clean), sum(not found for found in clean)]  # fmt: skip
+        lines.append(f"| {robot} | {' | '.join(map(str, numbers))} |")
+    return "\n".join(lines)
+
+
+def wrong(rows: list[Row]) -> str:
+    """Returns a Markdown list of the wrong verdicts of at least 90 %, most frequent first."""
+    found: Counter[str] = Counter()
+    robots = defaultdict(set)
+    for row in rows:
+        for each in row["verdicts"]:
+            if not each["right"] and each["confidence"] >= SURE:
+                name = f"{row['fault']} → {label(each)}"
+                found[name] += 1
+                robots[name].add(row["robot"])
+    return "\n".join(
+        f"- {count} x {name} ({', '.join(sorted(robots[name]))})"
+        for name, count in found.most_common()
+    )
+
+
+def label(verdict: Row) -> str:
+    name = f"{verdict['kind']}, {verdict['part']}"
+    return verdict["kind"] if verdict["kind"] == verdict["part"] else name
+
+
+def confusion(rows: list[Row]) -> str:
+    """Returns a Markdown table: in how many runs with a fault a verdict occurs, right and wrong.
+
+    `2+1` are two runs with only right verdicts of this name, and one with a wrong verdict.
+    """
+    cells: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
+    for row in rows:
+        names = {label(each) for each in row["verdicts"]}
+        for name in names:
+            same = [each["right"] for each in row["verdicts"] if label(each) == name]
+            cells[row["fault"], name][not all(same)] += 1
+    columns = sorted({name for _, name in cells})
+    runs, empty = Counter(row["fault"] for row in rows), Counter(
+        row["fault"] for row in rows if not row["verdicts"]
+    )  # fmt: skip
+    lines = [
+        f"| fault | runs | nothing | {' | '.join(columns)} |",
+        f"|{'---|' * (3 + len(columns))}",
+    ]
+    for fault in runs:
+        texts = ["{}+{}".format(*cells[fault, name]) if (fault, name) in cells else ""
+                 for name in columns]  # fmt: skip
+        lines.append(f"| {fault} | {runs[fault]} | {empty[fault] or ''} | {' | '.join(texts)} |")
+    return "\n".join(lines)
+
+
+def draw(rows: list[Row], path: Path) -> None:
+    """Draws the reliability diagram with 95 % Wilson intervals."""
+    robots = list(dict.fromkeys(row["robot"] for row in rows))
+    with figure.styled():
+        from matplotlib.figure import Figure
+
+        drawn = Figure(figsize=(figure.A4_WIDTH / 25.4, 3.2), dpi=200, layout="constrained")
+        panels = drawn.subplots(1, 1 + len(robots), sharey=True, squeeze=False)[0]
+        for panel, title in zip(panels, ("all robots", *robots), strict=True):
+            mine = [row for row in rows if title in ("all robots", row["robot"])]
+            panel.set_title(title, loc="left", fontsize=7.5)
+            for low, high in zip(EDGES[:-1], (*EDGES[1:-1], 1.0), strict=True):
+                at = bin_of(low)
+                panel.plot([at - 0.45, at + 0.45], [100 * low, 100 * high], color=figure.GREY)
+            for shift, is_named, color in (
+                (-0.12, True, figure.ORANGE),
+                (0.12, False, figure.BLUE),
+            ):
+                for at, (right, count) in enumerate(counts(mine, is_named=is_named)):
+                    if count:
+                        ends = 100 * np.array(wilson(right, count))
+                        share = 100 * right / count
+                        panel.plot([at + shift] * 2, ends, color=color, linewidth=1.0)
+                        name = (
+                            ("named" if is_named else UNEXPLAINED) if at == len(BINS) - 1 else None
+                        )
+                        panel.plot(at + shift, share, "o", color=color, markersize=3, label=name)
+                        panel.annotate(f"{count}", (at + shift, 2), ha="center", fontsize=4.5,
+                                       color=color, rotation=90)  # fmt: skip
+            panel.set_xticks(range(len(BINS)), [each.removesuffix(" %") for each in BINS],
+                             rotation=45, ha="right", fontsize=6)  # fmt: skip
+            panel.set_xlabel("confidence, %")
+            panel.set_ylim(-2, 102)
+        panels[0].set_ylabel("right verdicts, %")
+        panels[0].legend(frameon=False, fontsize=6, loc="center left")
+        drawn.savefig(path)
+
+
+def whole(rows: list[Row]) -> str:
+    """Returns the whole report as Markdown."""
+    false = [
+        f"- {row['robot']}, seed {row['seed']}: {each['joint']}: {each['text']}, "
+        f"{100 * each['confidence']:.0f} %"
+        for row in rows
+        if row["fault"] == CLEAN
+        for each in row["verdicts"]
+    ]
+    errors = [f"- {row['robot']}, {row['fault']}: {row['error']}" for row in rows if row["error"]]
+    parts = {
+        "Right verdicts of all verdicts, by confidence": reliability(rows),
+        "Runs": detection(rows),
+        "Wrong verdicts of at least 90 %": wrong(rows),
+        "Verdicts about runs without a fault": "\n".join(false),
+        "Runs that could not be analyzed": "\n".join(errors),
+        "Verdicts by fault": confusion(rows),
+    }
+    return "\n\n".join(f"## {title}\n\n{text or 'none'}" for title, text in parts.items()) + "\n"
