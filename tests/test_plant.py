@@ -459,9 +459,9 @@ def test_invalid_plants_and_payloads_are_rejected():
     with pytest.raises(ValueError, match=r"expected World\(scene, dynamic=True\)$"):
         Plant(world)
     world = World(Scene(robots=[make_lwr()]), dynamic=True)
-    with raises_with(key="timestep", found=0.0, expected="more than 0, below 1"):
+    with raises_with(key="timestep", found=0.0, expected="more than 0 and less than 1 s"):
         Plant(world, timestep=0.0)
-    with raises_with(reason="found sensors of", found=6, expected=7):
+    with raises_with(reason="found sensors of", found=6, expected="7 joints"):
         Plant(world, Sensors(6))
     plant = Plant(world)
     with raises_with(key="joint_angles", found=6):

@@ -213,8 +213,8 @@ WRONG = {
                 expected="a point that differs from position", file="s.toml", line=3)
     ],
     "[lights.a]\nposition = [0, 0, 1]\ndirection = [0, 0, 0]\ndiffuse = [5, 0, 0]": [
-        Problem("lights.a.direction", found=[0.0, 0.0, 0.0], expected="a direction", file="s.toml",
-                line=3),
+        Problem("lights.a.direction", found=[0.0, 0.0, 0.0],
+                expected="a nonzero vector", file="s.toml", line=3),
         Problem("lights.a.diffuse", found=[5.0, 0.0, 0.0], expected="three numbers from 0 to 1",
                 file="s.toml", line=4),
     ],

@@ -223,8 +223,8 @@ def test_joint_stiffness_acts_at_the_links_of_elastic_joints() -> None:
 def test_springs_as_stiff_as_the_elastic_joints_are_rejected() -> None:
     found = problems({**SOFT, "stiffness": 4500.0}, True)
     assert (
-        "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, 80 % of "
-        "the elastic joint's" in found
+        "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, which is "
+        "80 % of the stiffness of the elastic joint" in found
     )
     assert "joint A3" not in found
 

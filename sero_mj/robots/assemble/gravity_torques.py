@@ -30,7 +30,7 @@ class GravityTorques:
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         floating = [name for name, robot in robots.items() if robot.free_base is True]
         if floating:
-            why = "has a free base, and cannot hold itself against gravity"
+            why = "joint torques cannot hold a robot with a free base against gravity"
             raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])
         self._world = world_without_meshes(robots.values())
         self._world.model.opt.gravity[:] = EARTH

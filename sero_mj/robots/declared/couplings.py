@@ -113,7 +113,7 @@ def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -
         way = [name]
         while way[-1] in couplings and couplings[way[-1]].to not in way:
             way.append(couplings[way[-1]].to)
-        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # reported once
+        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # once per cycle
             circle = " to ".join([*way, name])
             problems.append(Problem(name, f"joints are coupled in a cycle: {circle}"))
     return problems

@@ -98,7 +98,7 @@ def where(problem: Problem, declared: Declared) -> Problem:
 
 
 def has_key(place: tuple[Path, str], key: str) -> bool:
-    """Whether the table at `place`, a file and a key in it, contains another key."""
+    """Whether the table that is declared at `place` (file and dotted key) contains `key`."""
     file, prefix = place
     return Problem(key, "").inside(prefix).key in key_lines(file)
 

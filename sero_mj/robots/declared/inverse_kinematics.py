@@ -93,7 +93,7 @@ def reach(
     """Searches for joint values within the limits that move a frame as close as possible to a goal.
 
     Args:
-        place: function that computes the frame, see `frame_place`.
+        place: function that computes the frame and its Jacobian, such as `frame_place` returns.
         goal: desired pose T_world_frame, shape (4, 4), m.
         angles: initial joint values, shape (n,), rad or m.
         limits: position limits, shape (n, 2), rad or m, or None.

@@ -70,7 +70,7 @@ _UP = np.array([0.0, 0.0, 1.0])
 def _unit(direction: Array) -> Array:
     length = np.linalg.norm(direction)
     if length == 0.0:
-        raise mismatch(direction.tolist(), "a direction")
+        raise mismatch(direction.tolist(), "a nonzero vector")
     return np.asarray(direction / length)
 
 

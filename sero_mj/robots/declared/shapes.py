@@ -90,8 +90,8 @@ def generate_shapes(
 ) -> list[list[LinkShape]]:
     """Returns the generated shapes of the base and of each link, in the frames of the links.
 
-    The arguments are those of `housing_radii`. The rod of a prismatic joint has the length of the
-    stroke, so that it does not leave its housing.
+    The arguments are those of `housing_radii`. The rod of a prismatic joint is at least as long as
+    the stroke, so that it does not leave its housing.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes

@@ -195,7 +195,7 @@ def _unit_range(rgb: Array) -> Array:
 
 def _direction(vector: Array) -> Array:
     if not np.abs(vector).max() > 0:
-        raise mismatch(vector.tolist(), "a direction")
+        raise mismatch(vector.tolist(), "a nonzero vector")
     return vector
 
 

@@ -162,7 +162,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
 
 
 def cached_tree(source: Any, folder: Path) -> MjcfTree:
-    """Returns the result of `tree_of`, cached until the file changes."""
+    """Finds the robot in an MJCF source like `tree_of`, but caches it until the file changes."""
     if is_file_name(source):
         modified, tree = _cached.get(folder / source, (0, None))
         if tree is not None and modified == _modified(folder / source):

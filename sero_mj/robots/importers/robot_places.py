@@ -1,4 +1,4 @@
-"""Finds robots by name outside of the robots that sero-mj includes.
+"""Finds robots by name that are not included in sero-mj.
 
 Robots are searched for in the package `robot_descriptions`, in MuJoCo Menagerie and in ROS
 packages. Packages add a `RobotPlace` with an entry point in the group `sero_mj.robots`.

@@ -26,7 +26,7 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file.
+    """Returns the text of a robot file for an imported robot, with comments.
 
     Args:
         limbs: joint indices by limb name.

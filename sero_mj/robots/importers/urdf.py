@@ -542,7 +542,7 @@ class UrdfFile:
             values = self._numbers(axis, "xyz", key, (3,))
             if values is not None and np.linalg.norm(values) < 1e-9:
                 found = " ".join(f"{value:g}" for value in values)
-                self._problem(axis, key, f"<axis>: found {found}; expected a direction")
+                self._problem(axis, key, f"<axis>: found {found}; expected a nonzero vector")
             elif values is not None:
                 joint.axis = values
 
