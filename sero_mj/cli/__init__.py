@@ -81,7 +81,7 @@ class Command(Protocol):
     ORDER: int
 
     def add_to(self, commands: Any) -> None:
-        """Adds the command to the subparsers of argparse. `arguments.command` returns this."""
+        """Adds the command to subparsers of argparse. `arguments.command` creates this function."""
 
 
 class _CommandList:

@@ -118,7 +118,7 @@ class ExportOptions(SceneArgument, ShownOptions):
         return self.seconds if self.end is None else self.end - (self.begin or 0.0)
 
     def accept(self, *names: str) -> None:
-        """Raises UsageError if an option is set that is not in `names`, the supported options."""
+        """Raises UsageError if an option other than the supported options `names` is set."""
         always = {"scene", "file", "output", "quiet", "package", "arg", *names}
         others = [name for name in type(self).model_fields if name not in always]
         self.refuse(others, f" is not available for {self.ending} files")
@@ -184,7 +184,7 @@ def report_size(options: ExportOptions) -> int:
 
 
 def write_mjcf(options: ExportOptions) -> int:
-    """Writes MJCF and its mesh files; returns 0."""
+    """Writes a scene as MJCF with its mesh files; returns 0."""
     from ..robots.assemble.world import World
 
     options.accept("settings")

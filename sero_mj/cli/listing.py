@@ -175,7 +175,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:
-    """Returns a mapping from table headers that only scenario files have to declarations."""
+    """Returns a mapping from the additional table headers of scenario files to declarations."""
     from ..simulate.control.make_controller import controller_kinds
     from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS

@@ -110,7 +110,7 @@ class PackageOptions(Options):
     arg: Annotated[list[Annotated[str, AfterValidator(_argument)]], Option("NAME=VALUE")] = []
 
     def apply(self) -> None:
-        """Passes the options to importers in this and in child processes by the environment."""
+        """Passes the options to importers, also in child processes, by environment variables."""
         for name, _, folder in (text.partition("=") for text in self.package):
             known = os.environ.get(PACKAGES_VARIABLE)
             own = f"{name}={Path(folder).resolve()}"

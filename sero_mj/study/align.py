@@ -16,8 +16,8 @@ from ..simulate.runs.run_log import RunLog, compared_signal
 
 log = logging.getLogger(__name__)
 
-_MIN_OVERLAP = 0.3  # share of the shorter motion
-_MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
+_MIN_OVERLAP = 0.3  # minimum overlap as a share of the shorter motion
+_MIN_SPEED = 1e-4  # minimum root mean square velocity, rad/s or m/s
 _MAX_ROWS = 2**21
 # Penalty in correlation for shorter overlaps. A periodic motion matches at every period; the shift
 # with the longest overlap is selected.
@@ -107,7 +107,7 @@ def _rms(velocities: Array) -> float:
 # Signals that are compared if both runs have them.
 COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 # Gaps that exceed both limits are not interpolated.
-_GAP, _GAP_ROWS = 0.1, 5  # s, packets
+_GAP, _GAP_ROWS = 0.1, 5  # limits in s and in packets
 _MIN_CORRELATION = 0.5  # minimum for a meaningful offset
 
 

@@ -32,10 +32,10 @@ FAULT = "#8E3B8A"
 
 A4_WIDTH = 190.0  # width of A4 within its margins, mm
 _A4_HEIGHT = 265.0
-_ROW, _MIN_ROW = 27.0, 14.0  # mm
-_HEAD, _FOOT = 12.0, 20.0  # mm: title and legend; headings and time axis
+_ROW, _MIN_ROW = 27.0, 14.0  # normal and minimum height of a row, mm
+_HEAD, _FOOT = 12.0, 20.0  # heights of title and legend, and of headings and time axis, mm
 _NAMES = 27.0  # width of the names to the left of the panels, mm
-_MAX_NAME = 9  # characters; longer names have smaller letters
+_MAX_NAME = 9  # maximum number of characters; longer names have smaller letters
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans are below the title
 _MM = 1.0 / 25.4  # inch
 _MIN_MM = 60.0, 40.0

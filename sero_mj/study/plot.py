@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 
 _LIMIT_SHARE = 0.6  # share of the limit above which a panel also shows the limit
-_MIN_TORQUE = 0.2  # Nm, or the robot's unit; minimum range of a panel without a limit
-_MIN_ANGLE = 0.02  # deg or mm; minimum range
+_MIN_TORQUE = 0.2  # minimum range of a panel without a limit, Nm or the torque unit of the robot
+_MIN_ANGLE = 0.02  # minimum range of a panel, deg or mm
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",

@@ -53,7 +53,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """The result of a comparison such as `left > right`, for reports. Arrays are over time."""
+    """The result of a comparison such as `left > right`, for reports, with one row per packet."""
 
     text: str
     sign: str

@@ -52,7 +52,7 @@ def origins_of(robots: Mapping[str, SerialRobot], name: str, key: str) -> list[s
 
 
 def output_now(world: WorldView, data: mujoco.MjData, name: str, key: str) -> Array:
-    """Returns an output of a robot in the current state, shape (n,), NaN if unknown."""
+    """Returns an output of a robot in the current state, shape (n,); NaN for unknown values."""
     torques = gravity_torques if key == GRAVITY else friction_torques
     return torques(world, data)[world.robots[name].joints]
 

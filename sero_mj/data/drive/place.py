@@ -19,7 +19,7 @@ from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 
-# The newest values by source and event.
+# Latest values by source and event.
 LatestValues = Mapping[str, Mapping[str, Array]]
 
 
@@ -169,7 +169,7 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """A list of routes, each after the routes to its origins, and the world that they set."""
+    """A sequence of routes to apply to a world; each route follows the routes to its origins."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world

@@ -94,7 +94,7 @@ class Value:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the value has no received numbers."""
+        """Whether the value does not depend on received numbers."""
         return not any(entry.terms for entry in self.entries.flat)
 
     def gather(self, take: Ints, factors: Array, constants: Array) -> Value:
