@@ -385,7 +385,7 @@ def test_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
     for _ in range(40):
         trouble = played.steering.drag()
-    assert trouble.startswith("not reached, ")
+    assert trouble.startswith("the pose is not reached (")
     played.steering.advance(0.02)
     assert played.toggles.handles.mark is not None
     low, high = goal.robot.position_limits.T
