@@ -36,8 +36,8 @@ Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", 
 _SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
 FLANGE, LINKS = "flange", "links"
 MAX_CONFIDENCE = 0.99
-# Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
-# the sign of the size.
+# Faults that can be attributed to one of two runs. For other faults, exchanging the runs only
+# changes the sign of the size.
 OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 
@@ -47,18 +47,19 @@ class Explanation:
 
     Attributes:
         joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
+        kind: kind of the fault.
         part: faulty part of the robot, for example `torque sensor`.
-        size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
-            deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), or unexplained peak (Nm).
+        size: size of the fault: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb
+            friction (Nm), standard deviation of noise (Nm), payload (kg), difference of the link
+            masses (%), encoder offset (deg or m), stuck torque (Nm), or unexplained peak (Nm).
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
         begin: start time of the fault, s.
         end: end time of the fault, s; None for the end of the run.
         from_start: whether the fault exists from the start.
-        values: further values: `viscous` friction, and the coordinates `x`, `y`, `z` of a payload's
-            center of mass, m.
+        values: further values: `viscous` friction, or the coordinates `x`, `y`, `z` of the center
+            of mass of a payload, m.
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
@@ -135,13 +136,16 @@ def _about(error: float) -> str:
 
 
 class Explainer(ABC):
-    """Explains differences of torques. It is created without arguments."""
+    """An object, created without arguments, that finds the causes of torque differences."""
 
     @abstractmethod
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> list[Explanation]:
-        """Explains the torques of A minus those of B.
+        """Explains the torques of run `a` minus the torques of run `b`.
+
+        `robots` contains the names of the robot in `a` and `b`. `offset` (s) is added to the times
+        of `b`.
 
         Raises:
             UsageError: the runs cannot be analyzed.
@@ -149,7 +153,7 @@ class Explainer(ABC):
 
     @abstractmethod
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """Explains commanded minus measured torques.
+        """Explains the commanded minus the measured torques of a robot.
 
         Returns the explanations, and lines about the method.
         """
