@@ -46,8 +46,8 @@ from urdf_of import write_urdf
 ROOT = HERE.parent
 FOLDER = ROOT / "out" / "peers"
 AGREE = 1e-6
-SETTLE = 4.0  # s, until a page has loaded and draws
-TIMEOUT = 300.0  # s, of one work of one peer
+SETTLE = 4.0  # time until a page has loaded and draws, s
+TIMEOUT = 300.0  # timeout of one task with one package, s
 _BROWSER = [
     "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader",
     "--ignore-gpu-blocklist", "--no-sandbox",
@@ -56,7 +56,7 @@ _BROWSER = [
 
 @dataclass(frozen=True)
 class Peer:
-    """A script of benchmarks/peers/ and its packages from PyPI; none if it needs only sero-mj."""
+    """A script of benchmarks/peers/ and its packages from PyPI, if it needs more than sero-mj."""
 
     title: str
     environment: str = ""
@@ -76,14 +76,14 @@ PEERS = {
     "with_rerun": Peer("rerun with yourdfpy", "rerun", ("rerun-sdk>=0.24", "yourdfpy>=0.0.56")),
     "with_gymnasium": Peer("Gymnasium's Pusher", "gymnasium", ("gymnasium[mujoco]>=1.1",)),
     "with_mjlab": Peer("mjlab, lifting a cube", "mjlab", ("mjlab>=1.6",)),
-    # With later versions of MuJoCo it finds no joints.
+    # robosuite finds no joints with later versions of MuJoCo.
     "with_robosuite": Peer("robosuite", "robosuite", ("robosuite>=1.5", "mujoco<3.4")),
 }
 
 
 @dataclass(frozen=True)
 class Work:
-    """A measured task: heading, description and scripts that perform it."""
+    """A measured task: heading, description, and the scripts that perform the task."""
 
     title: str
     does: str
@@ -285,7 +285,7 @@ def python_of(peer: Peer) -> str:
 
 
 def run(name: str, work: str, browser: Any) -> Iterator[dict[str, Any]]:
-    """Performs a task with a package, and yields the measurements that its script prints.
+    """Performs a task with a package; yields the measurements that the script prints.
 
     Raises:
         RuntimeError: the script failed; contains the last line of its output.

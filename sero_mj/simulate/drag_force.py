@@ -18,12 +18,12 @@ from .scenario import Scenario
 
 LIMIT = 150.0  # maximum force, N; a person can pull with about this force with one arm
 STIFFNESS = 500.0  # initial stiffness, N/m
-STIFFNESS_RANGE = (20.0, 5000.0)  # N/m
+STIFFNESS_RANGE = (20.0, 5000.0)  # range of the stiffness, N/m
 STRONGER = 1.25  # stiffness factor of one wheel notch
 _DAMPING = 0.7  # damping ratio with the apparent mass of the point
 _MAX_DAMPED = 0.5  # maximum d T / m; a damper above 1 would reverse the motion in a step
 _MAX_SPRING = 0.25  # maximum k T^2 / m
-_MIN_MOBILITY = 1e-6  # 1/kg; below this, the link cannot move
+_MIN_MOBILITY = 1e-6  # minimum mobility of a link that can move, 1/kg
 _DECIMALS = 3  # decimal places of forces in N, so that files are short and exact
 _NAME = "by_hand"
 

@@ -165,7 +165,7 @@ def _site(world: World, frame: str) -> int:
         raise UnknownName("frame", frame, [*world.frames.names, "world"]) from None
 
 
-_STEEL = 7800.0  # kg/m3
+_STEEL = 7800.0  # density of steel, kg/m3
 
 
 def attach_payload(

@@ -79,7 +79,7 @@ class PlantRows:
 
         The torques acted between motors and links in the last step. Do not write to the array.
         """
-        if self._is_measured and not self.sensors.is_perfect:  # a fault has just begun
+        if self._is_measured and not self.sensors.is_perfect:  # a sensor fault has just begun
             np.copyto(self._actual, self.measured)
             self._is_measured = False
         return self.measured if self._is_measured else self._actual

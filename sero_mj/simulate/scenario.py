@@ -41,9 +41,9 @@ from .sensors import SIGNALS, SensorErrors, Sensors
 
 log = logging.getLogger(__name__)
 
-TORQUE_RATE = 3000.0  # Hz, rate of joint torque control on the LWR
-OBSERVER_GAIN = 50.0  # 1/s
-_MAX_DURATION = 1e5  # s
+TORQUE_RATE = 3000.0  # rate of joint torque control on the LWR, Hz
+OBSERVER_GAIN = 50.0  # default gain of the momentum observer, 1/s
+_MAX_DURATION = 1e5  # maximum duration of a run, s
 
 
 class RobotSensors(Declaration):

@@ -103,7 +103,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         if "scene" in own:
             scene, found = _other_scene(file.parent, own["scene"], tables, of_scene)
         else:
-            known = {*SECTIONS, *OTHERS} - {"description"}  # which scenes have as well
+            known = {*SECTIONS, *OTHERS} - {"description"}  # scenes have a description as well
             scene, found = scene_from_tables(file, tables, of_scene, known=known)
         problems += found
     except DeclarationError as error:

@@ -89,8 +89,8 @@ LOGGED: tuple[Part, ...] = (
 # Factors of units that logs and routes confuse, with their names.
 _UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
-# Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
-# the sign of the size.
+# Faults that can be attributed to one of two runs. For other faults, exchanging the runs only
+# changes the sign of the size.
 OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 
@@ -99,9 +99,10 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint, one of `PLACES`, or `all joints` for a log.
+        joint: name of the joint, or one of `PLACES`.
+        kind: kind of the fault.
         part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
-        size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
+        size: size of the fault: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
             deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
             (deg or m), stuck torque (Nm), tilt of the base (deg), mass (kg) or shift of the center
             (m) of one link, joint stiffness (Nm/rad), backlash (deg or m), largest torque of a
@@ -237,13 +238,16 @@ def _about(error: float) -> str:
 
 
 class Explainer(ABC):
-    """Explains differences of torques. It is created without arguments."""
+    """An object, created without arguments, that finds the causes of torque differences."""
 
     @abstractmethod
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> list[Explanation]:
-        """Explains the torques of A minus those of B.
+        """Explains the torques of run `a` minus the torques of run `b`.
+
+        `robots` contains the names of the robot in `a` and `b`. `offset` (s) is added to the times
+        of `b`.
 
         Raises:
             UsageError: the runs cannot be analyzed.
@@ -251,7 +255,7 @@ class Explainer(ABC):
 
     @abstractmethod
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """Explains commanded minus measured torques.
+        """Explains the commanded minus the measured torques of a robot.
 
         Returns the explanations, and lines about the method.
         """

@@ -30,7 +30,7 @@ VERSION = 2  # version of the protocol
 _TYPES = b"VvOSUM"
 ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
 SET_UP_INPUTS, PAUSE = b"IP"
-HEAD = struct.Struct(">HB")  # size and type
+HEAD = struct.Struct(">HB")  # size and type of a message
 NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # answers instead of the type of a variable
 MAX_BYTES = 4096  # maximum size of a message; controllers send up to 600 bytes
 

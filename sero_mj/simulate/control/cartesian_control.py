@@ -176,11 +176,11 @@ class CartesianImpedanceController(Controller):
         self._left = 0  # steps until the next design of the damping
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros((*model.rows, n))
-        self._compliance: Array | None = None  # of elastic joints, see `hold_links`
+        self._compliance: Array | None = None  # compliance of elastic joints, see `hold_links`
         self._share: Array = np.ones((*model.rows, 1))
         self._arrange(n, model.rows)
         self._null_gains[..., :n] = nullspace_stiffness[..., None] * np.eye(n)
-        vectors = np.array([0, 1, 2, 4, 5, 6])  # of a pure quaternion the scalar is zero
+        vectors = np.array([0, 1, 2, 4, 5, 6])  # the scalar of a pure quaternion is zero
         signed = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._spring[..., vectors[:, None], vectors] = signed
 
@@ -210,8 +210,8 @@ class CartesianImpedanceController(Controller):
         )
 
     def _arrange(self, n: int, rows: tuple[int, ...]) -> None:
-        # numpy calls, new arrays and new views take longer than the computation. Therefore sums of
-        # products are products of block matrices, and all views are made once:
+        # NumPy calls, new arrays and new views take longer than the computation. Therefore sums of
+        # products are computed as products of block matrices, and all views are made once:
         #
         #     tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
         #     wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]

@@ -31,7 +31,7 @@ from .controller import (
 from .robot_model import RobotModel
 from .robot_models import RobotModels
 
-MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+MAX_STIFFNESS = 5000.0  # maximum stiffness of the KUKA LWR's joint impedance controller, Nm/rad
 _PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`
 # Maxima of sliders for the damping (Nm s/rad), damping ratio and factor of the initial stiffness.
 _SLIDER_DAMPING, _SLIDER_RATIO, _SLIDER_STIFFNESS = 50.0, 2.0, 6.0
@@ -330,7 +330,7 @@ class JointImpedanceController(Controller):
         self.damping: Array = np.zeros((*shape, model.n))
         self._error: Array = np.zeros(shape)
         self._own, self._less = np.zeros((2, *shape))
-        self._times = np.matvec if model.rows else np.dot  # np.dot takes half the time
+        self._times = np.matvec if model.rows else np.dot  # `np.dot` takes half the time
 
     @property
     def group(self) -> tuple[object, ...]:

@@ -193,7 +193,7 @@ class RobotModel:
     def _move(self, velocities: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
         # mj_rne reads velocities from cvel and cdof_dot. They remain zero in `_data`, so mj_rne
         # computes gravity alone there, and velocities alone in this model, which has no gravity.
-        if self._moving is None:  # not in `_take_views`: it takes as long as 500 steps
+        if self._moving is None:  # not made in `_take_views`, as this takes as long as 500 steps
             weightless = copy.copy(self._model)
             weightless.opt.gravity[:] = 0.0
             self._moving = weightless, mujoco.MjData(weightless)

@@ -16,7 +16,7 @@ from ...viewer.tools.handle_drag import target_of
 from ..runs.run_source import RunSource
 from ..save_pushes import save_pushes, save_run
 
-_SAME_TIME = 1e-6  # s
+_SAME_TIME = 1e-6  # tolerance for equal times, s
 
 
 class Pulling(Tool):

@@ -23,7 +23,7 @@ from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel
 
 _PAST = 0.1  # time before the newest time from which on the past is shown, s
-_NEAR = 5.0  # pixels, maximum distance of the pointer from a handle
+_NEAR = 5.0  # maximum distance of the pointer from a handle, pixels
 
 
 class Steering(Tool):

@@ -30,7 +30,7 @@ class CompressedResponses:
         self._cached: collections.OrderedDict[tuple[int, int], bytes] = collections.OrderedDict()
 
     def compress(self, request: Request, response: Response) -> None:
-        """Compresses the body of a response unless it is short or has another status than 200."""
+        """Compresses the body of a response with status 200, unless the body is short."""
         body, headers = response.body, response.headers
         if response.status_code != 200 or not body or len(body) < _MIN_SIZE:
             return

@@ -41,7 +41,7 @@ class WebHost(LiveHost):
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
         token: token of the page; True to create a token, False for none.
-        waits: whether recordings and simulations start when the first browser connects.
+        waits: whether recordings and simulations wait until the first browser connects.
         folder: directory for exported files, images and videos; None for the current directory.
 
     Raises:
