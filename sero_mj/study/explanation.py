@@ -102,14 +102,14 @@ class Explanation:
         joint: name of the joint, or one of `PLACES`.
         kind: kind of the fault.
         part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
-        size: size of the fault: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
-            deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), tilt of the base (deg), mass (kg) or shift of the center
-            (m) of one link, joint stiffness (Nm/rad), backlash (deg or m), largest torque of a
-            spring (Nm), force (N), motor inertia (kg m2), change of Coulomb friction during the run
-            (Nm), friction as a share of the link torque (%), torque limit (Nm), drift of a clock
-            (s/s), missing gravity compensation (%), unexplained peak (Nm), factor of a logged
-            signal, or number of columns by which the order is shifted.
+        size: size of the fault: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb
+            friction (Nm) or its change during the run, friction as a share of the link torque (%),
+            standard deviation of noise (Nm), payload (kg), difference of the link masses (%), mass
+            (kg) or shift of the center (m) of one link, encoder offset (deg or m) or scale (%),
+            stuck torque (Nm), tilt of the base (deg), stiffness (Nm/rad), backlash (deg or m),
+            largest torque of a spring (Nm), force (N), motor inertia (kg m2), torque limit (Nm),
+            drift of a clock (s/s), missing gravity compensation (%), unexplained peak (Nm), factor
+            of a logged signal, or number of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
