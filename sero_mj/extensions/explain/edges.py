@@ -31,6 +31,23 @@ class Sums:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class SumsOfPair:
+    """Normal equations between one pair of edges; other edges are ignored."""
+
+    squares: Array  # (p, p)
+    products: Array  # (p,)
+    known: float
+
+    def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
+        shape = np.shape(first)
+        return (
+            np.broadcast_to(self.squares, (*shape, *self.squares.shape)),
+            np.broadcast_to(self.products, (*shape, *self.products.shape)),
+            np.full(shape, self.known),
+        )
+
+
 class Edges:
     """Begin and end times of an effect in half rows, after the low-pass filter.
 
@@ -59,6 +76,13 @@ class Edges:
         return Sums(
             begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
         )
+
+    def sums_of_pair(self, X: Array, y: Array, pair: tuple[int, int]) -> SumsOfPair:
+        share = self.share(*pair)
+        acting = X * share[:, None]
+        known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
+        return SumsOfPair(np.einsum("ckp,ckq->pq", acting, acting),
+                          np.einsum("ckp,ck->p", acting, y), float(known @ share))  # fmt: skip
 
     def weighted(self, values: Array) -> Array:
         # Sums of values (K, ...) after each edge, (E, ...).

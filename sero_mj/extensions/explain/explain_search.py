@@ -15,7 +15,7 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part
-from .edges import Edges, Sums
+from .edges import Edges, Sums, SumsOfPair
 from .effects import (
     MIN_SIGN,
     SHARE,
@@ -171,7 +171,13 @@ class Search:
         tried: list[_Fit] = []
         for common, X in self._commons():
             y = self.left[common.side]
-            sums = [self.edges.sums(X[None, :, j], y[None, :, j]) for j in range(self.n)]
+            of_joints = [(X[None, :, j], y[None, :, j]) for j in range(self.n)]
+            if common.is_constant:
+                pair = 0, self.edges.end
+                sums: list[Sums] | list[SumsOfPair]
+                sums = [self.edges.sums_of_pair(*each, pair) for each in of_joints]
+            else:
+                sums = [self.edges.sums(*each) for each in of_joints]
             found = [self._of_all_joints(common, X, sums, joint) for joint in without]
             tried += sorted((fit for fit in found if fit), key=lambda fit: -fit.gain)[:_MAX_TRIED]
         tried.sort(key=lambda fit: -fit.gain)
@@ -251,9 +257,12 @@ class Search:
         scaled = columns / self.sigma[:, :, joint, None]
         X = np.where(self.known[:, :, joint, None] & np.isfinite(scaled), scaled, 0.0)
         y, priors = self.left[:, :, joint], candidate.priors[joint]
-        sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
+        if candidate.is_constant:
+            edges = (0, self.edges.end)
+        sums = self.edges.sums(X, y) if edges is None else self.edges.sums_of_pair(X, y, edges)
+        inverse = np.diag(1.0 / priors**2)
         total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
-        absorbed = self._absorbed(joint, X)
+        absorbed = self._absorbed(joint, X, edges)
 
         def scores(first: Any, last: Any) -> Array:
             H, g, rows = sums.between(first, last)
@@ -267,8 +276,6 @@ class Search:
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
             return np.where(rows >= MIN_ROWS, better, -np.inf)
 
-        if candidate.is_constant:
-            edges = (0, self.edges.end)
         if edges is None:
             first, last, gain = self.edges.best(scores)
         else:
@@ -287,12 +294,18 @@ class Search:
         return _Fit(joint, candidate.kind, candidate.part, candidate, whole, priors, (first, last),
                     gain, parameters, errors)  # fmt: skip
 
-    def _absorbed(self, joint: int, X: Array) -> Callable[[Any, Any], Any]:
+    def _absorbed(
+        self, joint: int, X: Array, edges: tuple[int, int] | None
+    ) -> Callable[[Any, Any], Any]:
         # The part of X' X between two edges that undeclared friction would explain as well.
         if not self.undeclared:
             return lambda first, last: 0.0
         N, priors = self.undeclared[joint].columns[:, :, joint], self.undeclared[joint].priors
         inverse = np.linalg.inv(np.einsum("ckp,ckq->pq", N, N) + np.diag(1.0 / priors**2))
+        if edges is not None:
+            one = np.einsum("ckp,ckq,k->pq", X, N, self.edges.share(*edges))
+            of_pair = one @ inverse @ one.T
+            return lambda first, last: of_pair
         cross = self.edges.weighted(np.einsum("ckp,ckq->kpq", X, N))
 
         def between(first: Any, last: Any) -> Array:
@@ -346,7 +359,7 @@ class Search:
         return [self._common_effects[k] for k in sorted(best)]
 
     def _of_all_joints(
-        self, common: CommonEffect, X: Array, sums: list[Sums], without: int | None
+        self, common: CommonEffect, X: Array, sums: Sequence[Sums | SumsOfPair], without: int | None
     ) -> _Fit | None:
         used = np.arange(self.n) != (-1 if without is None else without)
         inverse = np.diag(1.0 / common.priors**2)
@@ -373,7 +386,9 @@ class Search:
             first, last, gain = self.edges.best(scores)
         if not gain > _MIN_SCORE:
             return None
-        parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
+        parts = [
+            each.between(first, last) for each, is_used in zip(sums, used, strict=True) if is_used
+        ]
         H, g = (
             np.sum([part[0] for part in parts], axis=0),
             np.sum([part[1] for part in parts], axis=0),
