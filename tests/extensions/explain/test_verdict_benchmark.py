@@ -48,8 +48,8 @@ def test_torques_without_fault_are_those_of_inverse_dynamics(plants: ModuleType,
 
 def test_plain_urdf_without_a_fault_has_no_verdict(plants: ModuleType) -> None:
     # Its friction and motor inertia are not declared, so they are fitted to the recording.
-    benchmark = import_script(FOLDER / "__main__.py")
-    row = benchmark.measure(("g3", benchmark.CLEAN, 0))
+    benchmark = import_script(FOLDER / "measure.py")
+    row = benchmark.measure(("g3", "none", 0))
     assert (row["error"], row["verdicts"]) == ("", [])
 
 
