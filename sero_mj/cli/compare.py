@@ -134,10 +134,10 @@ def _compare_two(options: CompareOptions) -> int:
         print_table(as_table(pair, differences))
         if pair.correlation is not None:
             print(f"offset {pair.offset:+.4f} s, correlation of the motions {pair.correlation:.3f}")
-        if explanations is not None:
-            print_table(explanations_table(pair, explanations))
         for line in about:
             print(line)
+        if explanations is not None:
+            print_table(explanations_table(pair, explanations))
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
