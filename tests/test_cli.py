@@ -107,7 +107,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         ),
         (
             ["render", "lwr", "-o", "x.png", "--fps", "3"],
-            "expected a video (.mp4, .webm, .gif) with --fps",
+            "--fps needs a video (.mp4, .webm, .gif)",
         ),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
         (["render", "lwr", "-o", "x.png", "--camera", "top"], "no camera 'top'"),
@@ -208,7 +208,7 @@ def test_interrupted_video_is_saved(tmp_path) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    frames = re.search(r"film.mp4 has the first (\d+) frames", err)
+    frames = re.search(r"film.mp4 contains the first (\d+) frames", err)
     assert frames, err
     assert "Traceback" not in err
     with av.open(str(film)) as container:
