@@ -1,8 +1,8 @@
-"""Measures what one step of every controller costs, against `mj_step` of the same robot.
+"""Measures the computing time of a step of each controller, relative to `mj_step` of the robot.
 
     .venv/bin/python benchmarks/controllers.py
 
-All rows are of one run: the fastest of many short ones, so that a busy machine disturbs little.
+Each time is the minimum of many short measurements, so that other load has little effect.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from sero_mj.simulate.control.make_controller import controller_from, make_contr
 from sero_mj.simulate.control.observer import MomentumObserver
 from sero_mj.simulate.control.robot_model import RobotModel
 
-STEP = 1e-3  # s
+STEP = 1e-3  # time step of the controllers, s
 TABLES: tuple[dict[str, object], ...] = (
     {"kind": "gravity_compensation"},
     {"kind": "torque"},
@@ -37,7 +37,7 @@ TABLES: tuple[dict[str, object], ...] = (
 
 
 def microseconds(call: Callable[[], object], chunks: int = 150, calls: int = 200) -> float:
-    """Of one call, in the fastest of many chunks."""
+    """Returns the duration of a call in microseconds, as the minimum over many chunks of calls."""
     best = np.inf
     for _ in range(chunks):
         begin = time.perf_counter()

@@ -1,12 +1,12 @@
-"""Counts how often `compare` names a fault rightly, on simulated runs with one fault each.
+"""Counts how often `compare` finds the fault in simulated runs with one fault each.
 
     .venv/bin/python benchmarks/explain.py [RUNS] [SEED] [pairs]
 
-Poses, motions, joints, sizes, times and sensor noise are drawn at random, anew where the fault
-changes torques by less than 0.3 % of the joint's limit; every third run has joint torque control.
-With `pairs` each is compared with the same run without the fault. A run counts as right when the
-joint's first explanation (or that of the flange or the links) has the kind that was put into it; a
-clean one when nothing is told.
+Poses, motions, joints, sizes, times and sensor noise are random. If the fault changes torques by
+less than 0.3 % of the joint's limit, they are drawn again. Every third run has joint torque
+control. With `pairs`, each run is compared with the same run without the fault. A run with a fault
+is correct if the first explanation of the joint, the flange or the links has the right kind. A run
+without a fault is correct if there is no explanation.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ KINDS = (
 )  # fmt: skip
 DURATION = 6.0
 PAIRS = "pairs" in sys.argv
-_SEEN = 0.003  # of the torque limit; faults that change less are drawn anew
+_SEEN = 0.003  # minimum torque change of a fault as a share of the torque limit
 
 
 def drawn_run(
     kind: str, rng: np.random.Generator
 ) -> tuple[RunLog, RunLog | None, str, dict[str, Any]]:
-    """A run with a fault of this kind, the joint that has it, and how it was made.
+    """Returns a run with a fault, a run without it, the faulty joint, and the parameters.
 
-    With `PAIRS` also the same run without the fault, with other noise.
+    The run without the fault, which has other noise, is None unless `PAIRS` is set.
     """
     lwr = SerialRobot.from_model("lwr")
     assert lwr.torque_limits is not None and lwr.position_limits is not None
@@ -47,7 +47,7 @@ def drawn_run(
     pose = bend + np.deg2rad(rng.uniform(-18, 18, 7))
     lwr = lwr.model_copy(update={"joint_angles": pose})
     k = int(rng.integers(7))
-    if kind == "encoder":  # of other joints gravity hardly changes
+    if kind == "encoder":  # gravity torques depend little on the angles of other joints
         k = int(rng.choice([1, 3]))
     limit, joint = float(lwr.torque_limits[k]), lwr.names[k]
     begin = float(rng.uniform(1.0, 3.0))
@@ -85,14 +85,14 @@ def drawn_run(
         "way_points": {"kind": "way_points", "times": [1.5, 3.0, 4.5, 6.0],
                        "way_points": pose + np.deg2rad(rng.uniform(-20, 20, (4, 7)))},
     }  # fmt: skip
-    if kind == "encoder" and rng.random() < 0.5:  # as it was mounted
+    if kind == "encoder" and rng.random() < 0.5:  # a fault from the start
         fault["begin"] = 0.0
     looped = bool(rng.random() < 1 / 3) and kind not in ("friction",)
     noise = 10 ** rng.uniform(-3, -1)
     about = {"joint": joint, "begin": begin, "motion": str(motion), "loop": looped, **fault}
     run: dict[str, Any] = {}
     heavy = lwr
-    if kind == "masses":  # the model knows nothing of it
+    if kind == "masses":  # only the simulated robot has other masses, not the model
         scale = (1.0 + side * rng.uniform(0.02, 0.2)) * lwr.dynamics.mass_scale
         dynamics = lwr.dynamics.model_copy(update={"mass_scale": scale})
         heavy = lwr.model_copy(update={"dynamics": dynamics})
@@ -113,7 +113,7 @@ def drawn_run(
     def simulated(robot: SerialRobot, **more: Any) -> RunLog:
         scene = Scene(robots=[robot], floor=False)
         simulation = Simulation(Scenario(scene, **always, seed=int(rng.integers(2**31)), **more))
-        with suppress(SimulationError):  # a drive of the wrong sign runs off
+        with suppress(SimulationError):  # a drive with the wrong sign makes the robot unstable
             for _ in simulation.run():
                 pass
         return replace(simulation.log, robots={"lwr": lwr})
@@ -122,11 +122,14 @@ def drawn_run(
 
 
 def named(log: RunLog, other: RunLog | None, joint: str) -> list[str]:
-    """What is told of a run, or of it and another one: of this joint, of the flange, of others."""
+    """Returns the explanations of a run as texts, first those of the joint, flange and links.
+
+    If `other` is not None, the difference between both runs is explained.
+    """
     both = "lwr", "lwr"
-    told = explain_run(log, "lwr") if other is None else explain_runs(log, other, both)
+    explanations = explain_run(log, "lwr") if other is None else explain_runs(log, other, both)
     first = {}
-    for each in told:
+    for each in explanations:
         first.setdefault(each.joint, each)
     words = []
     own = joint, FLANGE, LINKS
@@ -140,7 +143,7 @@ def named(log: RunLog, other: RunLog | None, joint: str) -> list[str]:
 
 
 def shows(log: RunLog, kind: str, about: dict[str, Any]) -> bool:
-    """Whether a fault of a sensor or a drive changes torques by 0.3 % of the limit, rms."""
+    """Whether a sensor or drive fault changes torques by more than 0.3 % of the limit (rms)."""
     k = log.robots["lwr"].names.index(about["joint"])
     limits = log.robots["lwr"].torque_limits
     rows = log.times > about["begin"]
@@ -182,9 +185,10 @@ def main() -> None:
             found[kind][words[0] if words else "none"] += 1
             if not good:
                 print(f"  {kind} {k}: {words} {about}", flush=True)
-        told = ", ".join(f"{word} {times}" for word, times in found[kind].most_common())
-        print(f"{kind:13} {right[kind]:3d} of {count}; extra {extra[kind]}: {told}", flush=True)
-    print(f"right in {100.0 * right.total() / (count * len(KINDS)):.1f} %")
+        counts = ", ".join(f"{word} {times}" for word, times in found[kind].most_common())
+        print(f"{kind:13} {right[kind]:3d} of {count} correct; {extra[kind]} with additional "
+              f"explanations: {counts}", flush=True)  # fmt: skip
+    print(f"{100.0 * right.total() / (count * len(KINDS)):.1f} % correct")
 
 
 if __name__ == "__main__":

@@ -1,10 +1,11 @@
-"""Measures what controllers outside of Python add to a simulated step, and how late they are.
+"""Measures the time that controllers outside of Python add to a simulated step, and their delay.
 
     .venv/bin/python benchmarks/external_control.py [--seconds 2] [--rounds 3]
 
-Needs a C compiler. One law, joint impedance, in Python, as a library, in a process of its own, as a
-C program over UDP and over shared memory, as an FMU (where FMPy is), by a C client of FRI 1.0, and
-by a node of ROS 2 (where Cyclone DDS is). All rows are of one run, in turns.
+Requires a C compiler. The same control law (joint impedance) runs in Python, as a C library in the
+same process and in a separate process, as a C program over UDP and over shared memory, as an FMU
+(if FMPy is installed), in a C client of FRI 1.0, and in a ROS 2 node (if Cyclone DDS is installed).
+The controllers are measured alternately.
 """
 
 from __future__ import annotations
@@ -74,13 +75,13 @@ int main(int argc, char **argv) { return argc > 3 ? by_memory(argv) : 1; }
 
 
 class Law:
-    """The law in Python."""
+    """The control law in Python."""
 
     def __init__(self, model: Any) -> None:
         self.model = model
 
     def torques(self, sensed: Any, target: Any, out: np.ndarray) -> None:
-        """Writes the torques of this step."""
+        """Computes the torques of a step."""
         self.model.update(sensed.motor_angles, sensed.motor_velocities)
         np.subtract(target.angles, sensed.angles, out)
         out *= 800.0
@@ -89,7 +90,7 @@ class Law:
 
 
 def build(folder: Path) -> None:
-    """Compiles the programs."""
+    """Compiles the C programs and the library in a folder."""
     cc = os.environ.get("CC", "cc")
     (folder / "controller.c").write_text(snippets()["controller-c"].text)
     shared = ["-O2", "-shared", "-fPIC", f"-I{HEADER.parent}"]
@@ -115,7 +116,7 @@ def simulated(folder: Path, controller: str, seconds: float) -> Simulation:
 
 
 def per_step(simulation: Simulation) -> float:
-    """Time of a step without the first, in which programs start, us."""
+    """Returns the duration of a step in microseconds, without the start of programs."""
     simulation.advance(100)
     begin = time.perf_counter()
     simulation.advance(simulation.steps)
@@ -131,9 +132,9 @@ def main() -> None:
         folder = Path(name)
         build(folder)
         ways = {
-            "law in Python": "",
+            "control law in Python": "",
             "C library": LIBRARY,
-            "C library, its own process": f"{LIBRARY}\nisolated = true",
+            "C library, separate process": f"{LIBRARY}\nisolated = true",
             "C program, shared memory": MEMORY,
             "C program, UDP in lockstep": UDP,
             "C client of FRI 1.0, in lockstep": FRI,
@@ -146,18 +147,18 @@ def main() -> None:
             from test_ros2_robot import NODE
 
             (folder / "node.py").write_text(NODE)
-            ways["node of ROS 2 in Python"] = (
+            ways["ROS 2 node in Python"] = (
                 f'kind = "ros2"\ndomain = 33\ncommand = ["{sys.executable}", "node.py", "right"]'
             )
         times: dict[str, list[float]] = {title: [] for title in ways}
         for _ in range(options.rounds):
             for title, controller in ways.items():
                 times[title].append(per_step(simulated(folder, controller, options.seconds)))
-        table = Table("controller", "us a step", "over Python", title="LWR at 1 kHz")
-        base = min(times["law in Python"])
+        table = Table("controller", "us per step", "more than Python", title="LWR at 1 kHz")
+        base = min(times["control law in Python"])
         for title, found in times.items():
             table.add_row(title, f"{min(found):.1f}", f"{min(found) - base:+.1f}")
-        late = Table("in real time at 1 kHz", "in their step", "latest step, ms")
+        late = Table("in real time at 1 kHz", "commands in time", "maximum delay, ms")
         for title, controller in (("C program, UDP", UDP), ("C client of FRI 1.0", FRI)):
             text = f'{controller}\nclock = "real_time"'
             simulation = simulated(folder, text, options.seconds)

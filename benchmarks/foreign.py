@@ -1,14 +1,15 @@
-"""Reads every URDF of `example-robot-data`: does it load, and is it the same as in Pinocchio?
+"""Reads every URDF file of `example-robot-data`, and compares the robots with Pinocchio.
 
-    make foreign                                      installs what it takes, and runs this
+    make foreign                                      installs the packages and runs this script
     .venv/bin/python benchmarks/foreign.py [NAME ...]
 
-Of every file: frames of all links in 50 random poses against Pinocchio (m and rotation matrices),
-the compiled model against our numpy kinematics in the same poses, total mass, and the time from
-the file to a first picture over that of plain MuJoCo, where it reads the file's meshes: without
-shadows, of which plain MuJoCo has none for a URDF, as a frame is mostly shadows where OpenGL is
-software. Writes out/foreign/urdf.md, a table, and out/foreign/urdf.png, a picture of each. Fails
-if fewer than 95 % load and agree to 1e-6.
+For each file, the script compares the frames of all links in 50 random poses with Pinocchio (m and
+rotation matrices), the compiled model with the NumPy kinematics in the same poses, the total mass,
+and the time from the file to the first image with plain MuJoCo, if MuJoCo can read the meshes.
+Images for the last comparison have no shadows, because plain MuJoCo draws none for a URDF, and
+shadows take most of the time with software rendering. Writes a table (out/foreign/urdf.md) and
+images of all robots (out/foreign/urdf.png). Fails if fewer than 95 % of the files load and agree to
+1e-6.
 """
 
 from __future__ import annotations
@@ -43,7 +44,7 @@ from sero_mj.robots.importers.urdf import UrdfFile
 OUT = Path("out/foreign")
 POSES, WITHIN = 50, 1e-6
 SIZE, COLUMNS = (320, 240), 8
-REPEATS = 3  # of times, of which the shortest counts
+REPEATS = 3  # number of time measurements, of which the shortest counts
 _EXTENSION = (
     '<mujoco><compiler discardvisual="false" strippath="false" fusestatic="true" '
     'balanceinertia="true" boundmass="1e-6" boundinertia="1e-9"/></mujoco>'
@@ -52,35 +53,35 @@ _EXTENSION = (
 
 @dataclass
 class Row:
-    """What came of one file; NaN for what could not be measured."""
+    """The result for one file; NaN for unknown values."""
 
     name: str
     joints: int = 0
     kinematics: str = ""
-    frames: float = np.nan  # difference to Pinocchio
-    compiled: float = np.nan  # of the compiled model to ours, m
+    frames: float = np.nan  # difference from Pinocchio
+    compiled: float = np.nan  # difference of the compiled model from the NumPy kinematics, m
     mass: float = np.nan  # kg
-    mass_difference: float = np.nan  # to Pinocchio, over the mass
-    seconds: float = np.nan  # from the file to a picture as MuJoCo draws it: without shadows
-    normal_seconds: float = np.nan  # with shadows and smooth edges, as we draw by default
-    mujoco_seconds: float = np.nan
+    mass_difference: float = np.nan  # difference from Pinocchio, relative to the mass
+    seconds: float = np.nan  # time from the file to an image without shadows, s
+    normal_seconds: float = np.nan  # time to an image with shadows and antialiasing (default), s
+    mujoco_seconds: float = np.nan  # time to an image with plain MuJoCo, s
     reason: str = ""
     warnings: list[str] = field(default_factory=list)
 
     @property
     def agrees(self) -> bool:
-        """Whether it loads and is the same robot."""
+        """Whether the file loads and gives the same robot."""
         return max(self.frames, self.compiled, self.mass_difference) < WITHIN
 
 
 def robots_of_package() -> list[Path]:
-    """The URDF files of the package `example-robot-data`."""
+    """Returns the URDF files of the package `example-robot-data`."""
     found = [Path(str(file.locate())) for file in files("example-robot-data") or []]
     return sorted(path for path in found if path.suffix == ".urdf")
 
 
 def compare(path: Path) -> tuple[Row, Any]:
-    """Compares one robot with Pinocchio; returns its row and picture."""
+    """Compares one robot with Pinocchio; returns its row and image."""
     row = Row(f"{path.parents[1].name.removesuffix('_description')}/{path.stem}")
     try:
         file = UrdfFile(path)
@@ -102,7 +103,7 @@ def compare(path: Path) -> tuple[Row, Any]:
 
 
 def differences(file: UrdfFile, world: World, robot: Any, model: Any) -> tuple[float, float]:
-    """Of our frames to Pinocchio's, and of the compiled model's positions to ours."""
+    """Returns maximum differences: frames from Pinocchio, and compiled positions from NumPy."""
     data, state = model.createData(), world.make_data()
     turns = robot.kinematics.revolute
     span = np.where(turns, np.pi, 0.3)
@@ -128,14 +129,14 @@ def differences(file: UrdfFile, world: World, robot: Any, model: Any) -> tuple[f
 
 
 def forget() -> None:
-    """Makes both begin anew: MuJoCo keeps what it has compiled of meshes, for both, as we do."""
+    """Clears the mesh caches of sero-mj and MuJoCo."""
     mesh_files._kept.clear()
     mujoco.mj_clearCache(mujoco.mj_getCache())
     gc.collect()
 
 
 def seconds_to_picture(path: Path, quality: Any) -> float:
-    """Time from the file to our first picture, with nothing kept of before."""
+    """Returns the time from the file to the first image with empty caches."""
     forget()
     begin = time.perf_counter()
     world = World(load_scene(path))
@@ -145,7 +146,7 @@ def seconds_to_picture(path: Path, quality: Any) -> float:
 
 
 def seconds_of_mujoco(read: Callable[[str], Any], source: str) -> float:
-    """Time from a file or a text, which `read` compiles, to plain MuJoCo's first picture."""
+    """Returns the time from a source, which `read` compiles, to plain MuJoCo's first image."""
     forget()
     begin = time.perf_counter()
     model = read(source)
@@ -158,7 +159,7 @@ def seconds_of_mujoco(read: Callable[[str], Any], source: str) -> float:
 
 
 def for_mujoco(path: Path) -> str | None:
-    """The URDF with absolute mesh files; None where MuJoCo cannot read it or its meshes."""
+    """Returns the URDF with absolute names of meshes, or None if MuJoCo cannot read it."""
 
     def absolute(match: re.Match[str]) -> str:
         return f'filename="{find_file(match[1], path)}"'
@@ -174,7 +175,7 @@ def for_mujoco(path: Path) -> str | None:
 
 
 def measure(path: Path, row: Row) -> None:
-    """Measures both by turns; the shortest of a few."""
+    """Measures the times with sero-mj and MuJoCo alternately, and stores the shortest ones."""
     text = for_mujoco(path)
     draft, normal, its = [], [], []
     for _ in range(REPEATS if text else 1):
@@ -186,9 +187,9 @@ def measure(path: Path, row: Row) -> None:
 
 
 def table(rows: list[Row]) -> str:
-    """The rows in Markdown."""
-    heads = ["robot", "joints", "by", "frames", "compiled", "mass, kg", "off by", "picture, s",
-             "with shadows, s", "MuJoCo, s", "ratio", "note"]  # fmt: skip
+    """Returns the rows as a Markdown table."""
+    heads = ["robot", "joints", "kinematics", "frames", "compiled", "mass, kg", "difference",
+             "image, s", "with shadows, s", "MuJoCo, s", "ratio", "note"]  # fmt: skip
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
         ratio = row.seconds / row.mujoco_seconds
@@ -202,7 +203,7 @@ def table(rows: list[Row]) -> str:
 
 
 def contact_sheet(pictures: list[tuple[str, Any]]) -> Image.Image:
-    """All pictures with their names."""
+    """Returns one image with all images and their names."""
     count = -(-len(pictures) // COLUMNS)
     sheet = Image.new("RGB", (SIZE[0] * COLUMNS, SIZE[1] * count), "white")
     draw = ImageDraw.Draw(sheet)
@@ -214,7 +215,7 @@ def contact_sheet(pictures: list[tuple[str, Any]]) -> Image.Image:
 
 
 def main() -> None:
-    """Writes the table and the sheet."""
+    """Writes the table and the contact sheet."""
     logging.disable(logging.WARNING)
     wanted = sys.argv[1:]
     rows, pictures = [], []
@@ -236,8 +237,8 @@ def main() -> None:
     print(f"{good} of {len(rows)} load and agree to {WITHIN:g} ({100 * good / len(rows):.1f} %)")
     if ratios:
         print(
-            f"time to a picture over plain MuJoCo's: median {np.median(ratios):.2f}, largest "
-            f"{max(ratios):.2f}, of the {len(ratios)} files whose meshes MuJoCo reads"
+            f"time to an image relative to plain MuJoCo: median {np.median(ratios):.2f}, maximum "
+            f"{max(ratios):.2f}, for the {len(ratios)} files whose meshes MuJoCo can read"
         )
     print(OUT / "urdf.md", OUT / "urdf.png")
     sys.exit(good < 0.95 * len(rows))

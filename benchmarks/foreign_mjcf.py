@@ -1,13 +1,13 @@
-"""Reads the MJCF robots of `robosuite` and `dm_control`: are they the same as in plain MuJoCo?
+"""Reads the MJCF robots of `robosuite` and `dm_control`, and compares them with plain MuJoCo.
 
-    make foreign                                      installs what it takes, and runs this
+    make foreign                                      installs the packages and runs this script
     .venv/bin/python benchmarks/foreign_mjcf.py [NAME ...]
 
-Of every file that MuJoCo reads and that has hinges or slides: frames of all bodies in 50 random
-poses against the file compiled by itself (m and rotation matrices), torques that hold it there
-against gravity, total mass, and the time from the file to a first picture over that of plain
-MuJoCo. Writes out/foreign/mjcf.md, a table, and out/foreign/mjcf.png, a picture of each. Fails if
-fewer than 95 % load and agree to 1e-6.
+For each file that MuJoCo can read and that has hinge or slide joints, the script compares the
+frames of all bodies in 50 random poses (m and rotation matrices), the gravity torques in these
+poses, the total mass, and the time from the file to the first image with plain MuJoCo. Writes a
+table (out/foreign/mjcf.md) and images of all robots (out/foreign/mjcf.png). Fails if fewer than
+95 % of the files load and agree to 1e-6.
 """
 
 from __future__ import annotations
@@ -43,26 +43,26 @@ NO_ROBOT = "found no hinge and no slide"
 
 @dataclass
 class Row:
-    """What came of one file; NaN for what could not be measured."""
+    """The result for one file; NaN for unknown values."""
 
     name: str
     joints: int = 0
-    frames: float = np.nan  # difference to the file compiled by itself
-    torques: float = np.nan  # of gravity, over the largest, likewise
+    frames: float = np.nan  # difference from plain MuJoCo
+    torques: float = np.nan  # difference of gravity torques, relative to the largest one
     mass: float = np.nan  # kg
-    mass_difference: float = np.nan  # kg, over the mass
-    seconds: float = np.nan  # from the file to a picture without shadows
-    mujoco_seconds: float = np.nan
+    mass_difference: float = np.nan  # difference from plain MuJoCo, relative to the mass
+    seconds: float = np.nan  # time from the file to an image without shadows, s
+    mujoco_seconds: float = np.nan  # time to an image with plain MuJoCo, s
     reason: str = ""
 
     @property
     def agrees(self) -> bool:
-        """Whether it loads and is the same robot."""
+        """Whether the file loads and gives the same robot."""
         return max(self.frames, self.torques, self.mass_difference) < WITHIN
 
 
 def files_of_packages() -> list[Path]:
-    """The MJCF files of the packages that are installed."""
+    """Returns the MJCF files of the installed packages."""
     found: list[Path] = []
     for package, folders in FOLDERS.items():
         spec = find_spec(package)
@@ -72,7 +72,7 @@ def files_of_packages() -> list[Path]:
 
 
 def is_robot(path: Path) -> str:
-    """Why a file is none that can be compared; empty for a robot."""
+    """Returns the reason why a file cannot be compared, or "" for a robot."""
     try:
         tree_of(path.name, path.parent)
     except DeclarationError as error:
@@ -82,7 +82,7 @@ def is_robot(path: Path) -> str:
 
 
 def compare(path: Path, row: Row) -> Any:
-    """Compares one robot with its file; fills its row and returns its picture."""
+    """Compares one robot with plain MuJoCo and fills its row; returns its image."""
     tree = tree_of(path.name, path.parent)
     scene = load_scene(path)
     (robot,) = scene.robots.values()
@@ -98,7 +98,7 @@ def compare(path: Path, row: Row) -> Any:
 
 
 def differences(tree: MjcfTree, world: World, robot: Any) -> tuple[float, float]:
-    """Of our frames, and of the compiled model's gravity torques, to those of the file."""
+    """Returns the maximum differences of frames and gravity torques from plain MuJoCo."""
     model, data, own = tree.model, mujoco.MjData(tree.model), world.make_data()
     model.opt.gravity[:] = world.model.opt.gravity
     model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_GRAVITY)
@@ -125,7 +125,7 @@ def differences(tree: MjcfTree, world: World, robot: Any) -> tuple[float, float]
 
 
 def seconds_to_picture(path: Path) -> float:
-    """Time from the file to our first picture."""
+    """Returns the time from the file to the first image with empty caches."""
     forget()
     begin = time.perf_counter()
     world = World(load_scene(path))
@@ -135,8 +135,8 @@ def seconds_to_picture(path: Path) -> float:
 
 
 def table(rows: list[Row]) -> str:
-    """The rows in Markdown."""
-    heads = ["robot", "joints", "frames", "gravity", "mass, kg", "off by", "picture, s",
+    """Returns the rows as a Markdown table."""
+    heads = ["robot", "joints", "frames", "gravity", "mass, kg", "difference", "image, s",
              "MuJoCo, s", "ratio", "note"]  # fmt: skip
     lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
     for row in rows:
@@ -149,7 +149,7 @@ def table(rows: list[Row]) -> str:
 
 
 def main() -> None:
-    """Writes the table and the sheet."""
+    """Writes the table and the contact sheet."""
     logging.disable(logging.WARNING)
     warnings.simplefilter("ignore")
     wanted = sys.argv[1:]
@@ -182,7 +182,7 @@ def main() -> None:
     good = sum(row.agrees for row in robots)
     ratios = [row.seconds / row.mujoco_seconds for row in robots if row.mujoco_seconds > 0]
     print(f"{good} of {len(robots)} load and agree to {WITHIN:g}; {len(rows) - len(robots)} others")
-    print(f"time to a picture over plain MuJoCo's: median {np.median(ratios):.2f}")
+    print(f"time to an image relative to plain MuJoCo: median {np.median(ratios):.2f}")
     print(OUT / "mjcf.md", OUT / "mjcf.png")
     sys.exit(good < 0.95 * len(robots))
 

@@ -1,13 +1,13 @@
-"""Learns `lwr/reach` by PPO in numpy, and measures it against inverse kinematics.
+"""Trains an agent for `lwr/reach` by PPO in NumPy, and compares it with inverse kinematics.
 
     .venv/bin/python benchmarks/learn.py [MINUTES]
 
-64 robots are stepped together. Inverse kinematics knows the robot's Denavit-Hartenberg table. The
-agent sees joint angles and velocities, and where flange and target are, turned with the first
-joint; of kinematics it knows no more. It learns from the logarithm of the task's reward, which
-does not get flat far from the target. Both are judged by the mean return of the same 64 episodes,
-which are not learned from. Ends when the agent has twice had its share of what inverse kinematics
-gets, or after so many minutes at the latest.
+64 robots are stepped together. Inverse kinematics uses the Denavit-Hartenberg table of the robot.
+The agent only observes joint angles and velocities, and the positions of flange and target in a
+frame that rotates with the first joint. It learns from the logarithm of the reward, which does not
+become flat far from the target. Both are evaluated by the mean return of the same 64 episodes,
+which are not used for training. The training ends when the agent has twice reached 60 % of the
+return of inverse kinematics, or after the given number of minutes.
 
 Schulman et al. 2017, Proximal Policy Optimization Algorithms, arXiv:1707.06347, with advantages by
 Schulman et al. 2016, High-Dimensional Continuous Control Using Generalized Advantage Estimation,
@@ -28,22 +28,22 @@ from rich.console import Console
 import sero_mj
 
 ROBOTS = 64
-SHARE = 0.6  # of the return of inverse kinematics
+SHARE = 0.6  # required share of the return of inverse kinematics
 OPTIONS = {"action": "impedance", "control_timestep": 0.05}
-LEARNED_WITH = {"timestep": 0.002}  # of the simulation; judged with half of it
-STEPS = 32  # of every robot between two updates
+LEARNED_WITH = {"timestep": 0.002}  # the evaluation uses half of this time step
+STEPS = 32  # steps of every robot between two updates
 EPOCHS, BATCH = 8, 512
 DISCOUNT, TRACE = 0.96, 0.95
 CLIP = 0.2
 HIDDEN = 64
-RATE, UPDATES = 6e-4, 200  # of learning at first, and until it is a tenth of that
-JUDGED_AT = 12345  # seed of the episodes that are judged
+RATE, UPDATES = 6e-4, 200  # initial learning rate, and updates until it is a tenth of this
+JUDGED_AT = 12345  # seed of the episodes for evaluation
 
 Seen = dict[str, np.ndarray]
 
 
 def features(seen: Seen) -> np.ndarray:
-    """What the agent sees, (m, 32), all of about the size 1."""
+    """Returns the inputs of the networks, shape (m, 32), with magnitudes of about 1."""
     angles = seen["joint_angles"]
     turned = np.exp(-1j * angles[:, 0])
     flange, target = (
@@ -61,7 +61,7 @@ def features(seen: Seen) -> np.ndarray:
 
 
 class Network:
-    """Two layers of tanh and a linear one, learned by Adam (Kingma and Ba 2015)."""
+    """A network of two tanh layers and a linear layer, trained by Adam (Kingma and Ba 2015)."""
 
     def __init__(self, rng: np.random.Generator, inputs: int, outputs: int, last: float) -> None:
         sizes = [inputs, HIDDEN, HIDDEN, outputs]
@@ -72,7 +72,7 @@ class Network:
         self.adam = Adam(self.parameters)
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
-        """The outputs, (m, outputs), for inputs (m, inputs)."""
+        """Returns the outputs, shape (m, outputs), for inputs of shape (m, inputs)."""
         self.layers = [x]
         *hidden, last = zip(self.parameters[::2], self.parameters[1::2], strict=True)
         for weights, bias in hidden:
@@ -80,7 +80,7 @@ class Network:
         return self.layers[-1] @ last[0] + last[1]
 
     def gradients(self, slope: np.ndarray) -> list[np.ndarray]:
-        """Of the parameters, from that of the outputs of the last call."""
+        """Returns the gradients of the parameters from the gradient of the last outputs."""
         found: list[np.ndarray] = []
         for k in range(2, -1, -1):
             x = self.layers[k]
@@ -91,7 +91,7 @@ class Network:
 
 
 class Adam:
-    """Changes parameters in place."""
+    """The Adam optimizer, which changes parameters in place."""
 
     def __init__(self, parameters: list[np.ndarray]) -> None:
         self.parameters, self.k = parameters, 0
@@ -99,7 +99,7 @@ class Adam:
         self.second = [np.zeros_like(each) for each in parameters]
 
     def step(self, gradients: list[np.ndarray], rate: float) -> None:
-        """One step down the gradients, which are cut off at a norm of 0.5."""
+        """Performs one step with gradients, which are clipped to a norm of 0.5."""
         self.k += 1
         norm = np.sqrt(sum(float((each**2).sum()) for each in gradients))
         scale = min(1.0, 0.5 / (norm + 1e-9))
@@ -112,7 +112,7 @@ class Adam:
 
 
 class Agent:
-    """A Gaussian policy and a value, each by a network of its own."""
+    """A Gaussian policy and a value function with separate networks."""
 
     def __init__(self, inputs: int, actions: int, seed: int) -> None:
         self.rng = np.random.default_rng(seed)
@@ -122,13 +122,13 @@ class Agent:
         self.deviation_adam = Adam([self.log_deviation])
 
     def act(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Actions and the logarithms of their probabilities, but for a constant."""
+        """Returns actions and the logarithms of their probabilities, except for a constant."""
         noise = self.rng.standard_normal((len(x), len(self.log_deviation)))
         actions = self.policy(x) + np.exp(self.log_deviation) * noise
         return actions, -0.5 * (noise**2).sum(axis=1) - self.log_deviation.sum()
 
     def learn(self, rows: dict[str, np.ndarray], rate: float) -> None:
-        """Goes through what was seen several times, in pieces."""
+        """Trains the networks on all rows for several epochs, in batches."""
         gain = rows["advantages"]
         gain = (gain - gain.mean()) / (gain.std() + 1e-8)
         for _ in range(EPOCHS):
@@ -142,7 +142,7 @@ class Agent:
                 ratio = np.exp(now - rows["logs"][part])
                 g = gain[part]
                 free = np.where(g > 0, ratio < 1 + CLIP, ratio > 1 - CLIP)
-                slope = (-(g * ratio * free) / m)[:, None]  # of the loss by the logarithm
+                slope = (-(g * ratio * free) / m)[:, None]  # of the loss by the log probability
                 self.policy.adam.step(self.policy.gradients(slope * off / deviation), rate)
                 self.deviation_adam.step([(slope * (off**2 - 1.0)).sum(axis=0) - 1e-3], rate)
                 missing = self.value(x)[:, 0] - rows["returns"][part]
@@ -150,7 +150,7 @@ class Agent:
 
 
 def returns_of(act: Callable[[Seen], np.ndarray]) -> float:
-    """Mean return of an episode of every robot."""
+    """Returns the mean return of one episode of each robot."""
     environments = gymnasium.make_vec("sero_mj/lwr-reach-v0", num_envs=ROBOTS, **OPTIONS)
     seen, _ = environments.reset(seed=JUDGED_AT)
     total, is_over = np.zeros(ROBOTS), np.zeros(ROBOTS, bool)
@@ -163,7 +163,7 @@ def returns_of(act: Callable[[Seen], np.ndarray]) -> float:
 
 
 def inverse_kinematics() -> Callable[[Seen], np.ndarray]:
-    """Straight to the target as fast as the joints may move, away from their limits."""
+    """Returns a policy that moves straight to the target at maximum speed, away from limits."""
     robot = sero_mj.SerialRobot.from_model("lwr")
     step = OPTIONS["control_timestep"] * robot.velocity_limits
     middle = robot.position_limits.mean(axis=1)
@@ -187,7 +187,7 @@ def main() -> None:
     minutes = float(sys.argv[1]) if len(sys.argv) > 1 else 15.0
     best = returns_of(inverse_kinematics())
     still = returns_of(lambda seen: np.zeros((ROBOTS, 7)))
-    console.print(f"return of inverse kinematics {best:.1f}, of standing still {still:.1f}")
+    console.print(f"return of inverse kinematics {best:.1f}, without motion {still:.1f}")
     environments = gymnasium.make_vec(
         "sero_mj/lwr-reach-v0", num_envs=ROBOTS, **OPTIONS, **LEARNED_WITH
     )
@@ -195,7 +195,7 @@ def main() -> None:
     x = features(seen)
     agent = Agent(x.shape[1], 7, seed=1)
     begin, steps, updates, held = time.perf_counter(), 0, 0, 0
-    is_begun = np.zeros(ROBOTS, bool)  # rows in which an episode begins: no action led there
+    is_begun = np.zeros(ROBOTS, bool)  # rows in which an episode begins, without an action
     while held < 2 and time.perf_counter() - begin < 60 * minutes:
         kept: dict[str, list[np.ndarray]] = {
             key: [] for key in ("x", "actions", "logs", "rewards", "values", "begun", "end")
@@ -210,7 +210,7 @@ def main() -> None:
                 kept[key].append(value)
             is_begun, x = terminated | truncated, features(seen)
         rows = {key: np.array(value) for key, value in kept.items()}
-        # An episode's last state leads to none; what follows is counted on from its value.
+        # The value of the last state of an episode replaces the rewards after the episode.
         values = np.vstack([rows["values"], agent.value(x)[:, 0]])
         goes_on = ~rows["begun"]
         advantages, last = np.zeros_like(rows["rewards"]), np.zeros(ROBOTS)
@@ -234,7 +234,7 @@ def main() -> None:
                 f"{found / best:.2f} of inverse kinematics"
             )
     environments.close()
-    sys.exit(0 if held else f"expected {SHARE} of the return of inverse kinematics")
+    sys.exit(0 if held else f"expected {SHARE:.0%} of the return of inverse kinematics")
 
 
 if __name__ == "__main__":

@@ -1,12 +1,13 @@
-"""Measures environments: one against a bare `mj_step` loop, many against one; and sweeps likewise.
+"""Measures the speed of environments and sweeps, for single runs and for runs stepped together.
 
     .venv/bin/python benchmarks/many.py [environments] [sweeps]
 
-The bare loop steps the same model as often as the environment does for one action. Many are
-stepped together, and one by itself, for a whole episode with its beginning. Variants of a sweep are
-run one by one in a kept process, and as many together as `sero-mj sweep` does, in new processes.
-Rows are of one run, the fastest of several, so that a busy machine disturbs little; of one process
-also by its own time, of which MuJoCo's steps are what no sweep can be faster than.
+A single environment is compared with a bare `mj_step` loop that performs the same number of steps
+per action. Many environments that are stepped together are compared with a single one for a whole
+episode, including the reset. Variants of a sweep run one by one in the same process, and in batches
+in new processes, as in `sero-mj sweep`. Rates are the maximum of several measurements, so that
+other load has little effect. For one process, the rate per CPU second and MuJoCo's share of the CPU
+time are also shown.
 """
 
 from __future__ import annotations
@@ -54,13 +55,13 @@ TOGETHER = (
     ("sero_mj/lwr-hold-v0", {"action": "impedance"}),
 )
 ROBOTS = 64
-EPISODE = 250  # steps
+EPISODE = 250  # steps of an episode
 
 
 def best_of(
     call: Callable[[], int], times: int = 5, clock: Callable[[], float] = time.perf_counter
 ) -> float:
-    """Calls per second, in the fastest of several."""
+    """Returns the maximum rate of several calls; `call` returns the number of completed items."""
     rates = []
     for _ in range(times):
         begin = clock()
@@ -69,7 +70,7 @@ def best_of(
 
 
 def episode(environment: object) -> int:
-    """One episode of small actions; returns its steps."""
+    """Runs 100 steps of an episode with small actions; returns the number of steps."""
     rng, spec = np.random.default_rng(0), environment.action_spec()
     actions = 0.02 * rng.uniform(spec.minimum, spec.maximum, (100, *spec.shape))
     environment.reset()
@@ -79,7 +80,7 @@ def episode(environment: object) -> int:
 
 
 def bare(environment: object, substeps: int) -> int:
-    """The same number of `mj_step` alone."""
+    """Calls `mj_step` as often as 100 steps of the environment do; returns 100."""
     environment.reset()
     model, data = environment.model, environment.data
     for _ in range(100):
@@ -89,7 +90,7 @@ def bare(environment: object, substeps: int) -> int:
 
 
 def whole_episode(environment: gymnasium.Env | gymnasium.vector.VectorEnv) -> int:
-    """An episode of small actions with its beginning; returns the steps of all robots together."""
+    """Runs a whole episode with small actions; returns the sum of the steps of all robots."""
     rng, shape = np.random.default_rng(0), environment.action_space.shape
     actions = 0.05 * rng.uniform(-1.0, 1.0, (EPISODE, *shape))
     environment.reset(seed=1)
@@ -99,13 +100,13 @@ def whole_episode(environment: gymnasium.Env | gymnasium.vector.VectorEnv) -> in
 
 
 def stepping(name: str, rows: int) -> float:
-    """Seconds that the physics of a run take in a batch of MuJoCo, of one of so many rows."""
+    """Returns the CPU time of MuJoCo's steps for one run in a batch with this number of rows."""
     simulation = Simulation(read_scenario(find_scenario(name)))
     model, run = simulation.plant.model, simulation.scenario.run
     batch = Batch(model, rows, 1, persistent=True)
     steps, velocities, applied = 500, batch.bind("qvel"), batch.bind("qfrc_applied")
     batch.bind("qpos")[:] = simulation.plant.qpos
-    holding = simulation.plant.data.qfrc_bias.copy()  # at rest
+    holding = simulation.plant.data.qfrc_bias.copy()  # torques that hold the robot at rest
 
     def step() -> int:
         for _ in range(steps):
@@ -117,10 +118,10 @@ def stepping(name: str, rows: int) -> float:
 
 
 def sweeps() -> Table:
-    """Variants a second, one by one and together."""
+    """Returns a table with variants per second, one by one and together."""
     table = Table(
-        "scenario", "processes", "together", "variants/s", "times one", "per CPU s", "times one",
-        "of that MuJoCo",
+        "scenario", "processes", "together", "variants/s", "ratio", "variants per CPU s", "ratio",
+        "share of MuJoCo",
     )  # fmt: skip
     for name, key in SWEEPS.items():
         sweep = Sweep(find_scenario(name), Samples((Vary.parse(key),), VARIANTS))
@@ -132,7 +133,7 @@ def sweeps() -> Table:
         def together(jobs: int, sweep: Sweep = sweep) -> int:
             return sum(1 for _ in sweep.run(Processes(jobs)))
 
-        one_by_one()  # compiles what all of them need
+        one_by_one()  # compiles the model
         alone = best_of(one_by_one, 3)
         of_cpu = best_of(one_by_one, 3, time.process_time)
         table.add_row(name, "1", "no", f"{alone:.2f}", "1.0", f"{of_cpu:.2f}", "1.0")
@@ -147,15 +148,15 @@ def sweeps() -> Table:
 
 
 def environments() -> list[Table]:
-    """Steps a second of environments."""
-    table = Table("environment", "action", "steps/s", "bare loop", "times its time")
+    """Returns tables with steps per second of environments."""
+    table = Table("environment", "action", "steps/s", "bare loop, steps/s", "ratio of times")
     for name, options in ENVIRONMENTS:
         environment = make_environment(name, **options)
         own = best_of(lambda: episode(environment))
         alone = best_of(lambda: bare(environment, 20))
         action = str(options.get("action", "torque"))
         table.add_row(name, action, f"{own:.0f}", f"{alone:.0f}", f"{alone / own:.1f}")
-    robots = Table("environment", "action", "one, steps/s", f"{ROBOTS}, steps/s", "times one")
+    robots = Table("environment", "action", "one, steps/s", f"{ROBOTS}, steps/s", "ratio")
     for name, options in TOGETHER:
         alone = gymnasium.make(name, **options).unwrapped
         together = gymnasium.make_vec(name, num_envs=ROBOTS, **options)

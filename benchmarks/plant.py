@@ -1,8 +1,8 @@
-"""Measures what a step of a simulated LWR costs beside `mj_step` of the same model.
+"""Measures the computing time of a step of a simulated LWR, relative to `mj_step` of the model.
 
     .venv/bin/python benchmarks/plant.py
 
-Times are medians of alternating runs, so that a slow moment of the machine hits all.
+Times are medians of alternating measurements, so that other load affects all of them.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ def measure(elastic: bool) -> None:
     )
     plants = [Plant(world), Plant(world, real), Plant(world)]
     torques = plants[0].actual[2].copy()
-    plants[2].step(torques)  # it is held as well, and falls on no floor
+    plants[2].step(torques)  # the arm of the bare loop is held by the same torques
     data = plants[2].data
     works: list[Callable[[], object]] = [
         lambda: mujoco.mj_step(world.model, data),
@@ -51,7 +51,7 @@ def measure(elastic: bool) -> None:
     times = np.array([[microseconds(work) for work in works] for _ in range(ROUNDS)])
     bare, perfect, noisy = np.median(times, axis=0)
     kind = "elastic" if elastic else "rigid"
-    print(f"LWR, {kind} joints: mj_step {bare:.1f} us a step")
+    print(f"LWR, {kind} joints: mj_step {bare:.1f} us per step")
     print(f"  Plant.step, perfect sensors {perfect:.1f} us: {perfect / bare:.2f} times")
     print(f"  Plant.step, real sensors    {noisy:.1f} us: {noisy / bare:.2f} times")
 

@@ -1,14 +1,14 @@
 """Runs fuzzing, faults and a long run, and writes the results to out/robustness/index.html.
 
-The long form also writes the table of attacks of the documentation, docs/attacks.md.
+The long form also writes docs/attacks.md.
 
-    make robustness                              a run of 10 minutes (--seconds 86400: of a day)
+    make robustness                              a run of 10 minutes (--seconds 86400 for a day)
     .venv/bin/python benchmarks/robustness.py --quick      the short form, as in CI
 
-Fuzzing and faults are tests, named in one table below; here they are run by their names with a seed
-(`--seed`, else one of its own), and counted: tests, and cases that Hypothesis made. The page also
-has the limits of files, as the code has them. Fails if a test fails, or the long run loses packets
-or grows. Needs Linux and a C compiler; tests that need a browser are skipped without one.
+The fuzzing and fault tests in the tables below are run with a seed (`--seed`, default: random), and
+the tests and cases of Hypothesis are counted. The page also lists the limits in the code. The
+script fails if a test fails, or if the long run loses packets or its memory grows. It requires
+Linux and a C compiler. Tests that need a browser are skipped if there is no browser.
 """
 
 from __future__ import annotations
@@ -36,19 +36,19 @@ from xml.etree import ElementTree as ET
 ROOT = Path(__file__).resolve().parent.parent
 OUT = ROOT / "out" / "robustness"
 QUICK_SECONDS = 20.0
-WARM = 0.25  # of the long run, before growth counts: history and caches fill up
-MOST_GROWTH = 1.25  # of memory from then on
-RECEIVED = 0.999  # of all packets, at least
+WARM = 0.25  # share of the long run in which history and caches fill, so that growth is ignored
+MOST_GROWTH = 1.25  # maximum ratio of memory at the end to memory after this time
+RECEIVED = 0.999  # minimum share of received packets
 
 
 @dataclass(frozen=True)
 class Target:
-    """What is attacked, and the tests that do it.
+    """A target of attacks or faults, and its tests.
 
     Attributes:
-        title: what is attacked.
-        tests: their names as pytest has them, below tests/.
-        in_quick: whether the short form runs them.
+        title: description of the target.
+        tests: pytest names of the tests below tests/.
+        in_quick: whether the short form runs the tests.
     """
 
     title: str
@@ -127,7 +127,7 @@ FUZZED = (
         "test_web_start.py::test_browser_that_loses_control_during_an_upload_uploads_nothing",
         "test_web_start.py::test_other_sites_and_requests_without_a_token_are_rejected",
     )),
-    Target("control characters that files send to the terminal", ("test_terminal.py",)),
+    Target("control characters from files in terminal output", ("test_terminal.py",)),
     Target("uploads", (
         "test_web_start.py::test_rejected_uploads_leave_nothing_and_full_storage_is_reported",
         "test_start_page.py::test_no_path_leads_out_of_the_folder",
@@ -145,7 +145,7 @@ FUZZED = (
 )  # fmt: skip
 
 FAULTS = (
-    Target("Ctrl+C, SIGTERM and kill -9 of a process that has started programs", (
+    Target("Ctrl+C, SIGTERM or kill -9 while started programs are running", (
         "test_child_process.py",
     )),
     Target("kill -9 of other processes", (
@@ -157,10 +157,10 @@ FAULTS = (
         "test_second_viewer_replaces_the_first_and_a_dead_one_does_not_stop_the_loop",
         "test_web_guard.py::test_terminated_page_leaves_no_files",
     )),
-    Target("exceptions while packets are received", (
+    Target("exceptions while receiving packets", (
         "test_receiving_thread.py",
     )),
-    Target("host names with several, slow or no addresses", (
+    Target("host names with several addresses, with slow ones or with none", (
         "extensions/test_connecting.py",
     )),
     Target("systems without POSIX functions", (
@@ -189,7 +189,7 @@ FAULTS = (
     )),
 )  # fmt: skip
 
-# Of what, in which module of sero_mj, the constant, its unit.
+# Limited item, module of sero_mj, constant, and unit.
 LIMITS = (
     ("TOML file", "base.toml_file", "_MAX_BYTES", "bytes"),
     ("URDF file", "robots.importers.urdf", "_MAX_BYTES", "bytes"),
@@ -205,12 +205,12 @@ LIMITS = (
     ("camera file", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
     ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("queued packets of a lossless source", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
-    ("message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
-    ("messages per second of a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
-    ("queued messages of browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
-    ("connected browsers of a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
-    ("uploaded files of a server, total size", "viewer.web.uploads", "MAX_BYTES", "bytes"),
-    ("uploaded files of a server, number", "viewer.web.uploads", "MAX_FILES", ""),
+    ("message from a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
+    ("messages per second from a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
+    ("queued messages from browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
+    ("browsers connected to a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
+    ("total size of uploaded files on a server", "viewer.web.uploads", "MAX_BYTES", "bytes"),
+    ("number of uploaded files on a server", "viewer.web.uploads", "MAX_FILES", ""),
     ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
     ("duration of a simulated run", "simulate.scenario", "_MAX_DURATION", "s"),
@@ -220,11 +220,11 @@ LIMITS = (
 
 @dataclass
 class Outcome:
-    """What came of a target."""
+    """The results of the tests of a target."""
 
     title: str
-    tests: Counter[str] = field(default_factory=Counter)  # by passed, skipped, failed
-    cases: int = 0  # that Hypothesis made
+    tests: Counter[str] = field(default_factory=Counter)  # numbers of passed, skipped, failed tests
+    cases: int = 0  # number of Hypothesis cases
     seconds: float = 0.0
     failed: list[str] = field(default_factory=list)
     skipped: list[str] = field(default_factory=list)
@@ -234,7 +234,7 @@ def run_tests(kind: str, targets: Sequence[Target], seed: int, profile: str) -> 
     """Runs the tests of all targets in one process of pytest.
 
     Raises:
-        SystemExit: pytest did not run, or a name is none of a test.
+        SystemExit: pytest did not run, or there is no test with a name.
     """
     junit = OUT / f"{kind}.xml"
     junit.unlink(missing_ok=True)
@@ -248,7 +248,7 @@ def run_tests(kind: str, targets: Sequence[Target], seed: int, profile: str) -> 
     (OUT / f"{kind}.txt").write_text(done.stdout + done.stderr)
     if done.returncode not in (0, 1) or not junit.exists():
         raise SystemExit(
-            f"pytest ended with {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
+            f"pytest ended with status {done.returncode}:\n{(done.stdout + done.stderr)[-2000:]}"
         )
     made = cases_made(done.stdout)
     found = [*ET.parse(junit).iter("testcase")]
@@ -256,10 +256,10 @@ def run_tests(kind: str, targets: Sequence[Target], seed: int, profile: str) -> 
 
 
 def cases_made(text: str) -> dict[str, int]:
-    """How many cases every test of Hypothesis had, by its name as pytest has it.
+    """Returns the number of Hypothesis cases of each test by its pytest name.
 
     Args:
-        text: what pytest prints with `--hypothesis-show-statistics`.
+        text: output of pytest with `--hypothesis-show-statistics`.
     """
     made: dict[str, int] = {}
     name = ""
@@ -272,12 +272,12 @@ def cases_made(text: str) -> dict[str, int]:
 
 
 def outcome_of(target: Target, found: Sequence[ET.Element], made: dict[str, int]) -> Outcome:
-    """What came of the tests of a target.
+    """Returns the results of the tests of a target.
 
     Args:
-        target: its tests.
-        found: the elements `testcase` of a file of JUnit.
-        made: see `cases_made`.
+        target: target with its tests.
+        found: `testcase` elements of a JUnit file.
+        made: number of Hypothesis cases by test, from `cases_made`.
     """
     outcome = Outcome(target.title)
     for case in found:
@@ -303,7 +303,10 @@ def outcome_of(target: Target, found: Sequence[ET.Element], made: dict[str, int]
 
 
 def grown(rows: Sequence[dict[str, Any]], key: str) -> float:
-    """A quantity at the end of a long run over that after its warm-up; medians of some seconds."""
+    """Returns the ratio of a quantity at the end of a long run to its value after the warm-up.
+
+    Both values are medians over some seconds.
+    """
     import numpy as np
 
     few = max(len(rows) // 10, 3)
@@ -313,12 +316,12 @@ def grown(rows: Sequence[dict[str, Any]], key: str) -> float:
 
 
 def problems_of(rows: Sequence[dict[str, Any]], sent: int, judged: bool) -> list[str]:
-    """What is wrong with a long run.
+    """Returns the problems of a long run.
 
     Args:
-        rows: what `soak` gave.
-        sent: how many packets were sent.
-        judged: whether it was long enough for memory to tell anything.
+        rows: measurements from `soak`.
+        sent: number of sent packets.
+        judged: whether the run was long enough to evaluate memory growth.
     """
     found = []
     received = int(rows[-1]["received"])
@@ -326,14 +329,14 @@ def problems_of(rows: Sequence[dict[str, Any]], sent: int, judged: bool) -> list
         found.append(f"received {received} of {sent} packets; expected {RECEIVED:.1%}")
     for key in ("handles", "threads"):
         if rows[-1][key] > rows[0][key]:
-            found.append(f"{key}: {rows[0][key]} at first, {rows[-1][key]} at last")
+            found.append(f"{key}: {rows[0][key]} at the start, {rows[-1][key]} at the end")
     if judged and (growth := grown(rows, "memory")) > MOST_GROWTH:
-        found.append(f"memory grew by {growth:.2f}; expected at most {MOST_GROWTH}")
+        found.append(f"memory grew by a factor of {growth:.2f}; expected at most {MOST_GROWTH}")
     return found
 
 
 def picture_of(rows: Sequence[dict[str, Any]]) -> str:
-    """Memory, handles and threads, and latencies over time, as the address of a picture."""
+    """Plots memory, handles, threads and latencies over time; returns a data URL of the image."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -362,14 +365,14 @@ def picture_of(rows: Sequence[dict[str, Any]]) -> str:
 
 
 def limit_text(value: float, unit: str) -> str:
-    """A limit for people."""
+    """Returns a limit with its unit as text."""
     if unit == "bytes":
         return f"{value / 1e6:,.0f} MB" if value >= 1e6 else f"{value:,.0f} bytes"
     return f"{value:,.0f} {unit}".strip()
 
 
 def limits() -> list[tuple[str, str]]:
-    """What is limited, and to how much."""
+    """Returns the limited items and their limits as texts."""
     return [
         (what, limit_text(getattr(import_module(f"sero_mj.{module}"), name), unit))
         for what, module, name, unit in LIMITS
@@ -377,7 +380,7 @@ def limits() -> list[tuple[str, str]]:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of HTML."""
+    """Returns an HTML table."""
     cells = "".join(f"<th>{html.escape(cell)}</th>" for cell in head)
     body = "".join(
         f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in rows
@@ -389,7 +392,7 @@ OUTCOME_HEAD = ("target", "tests", "Hypothesis cases", "outcome")
 
 
 def outcome_cells(outcome: Outcome) -> list[str]:
-    """The cells of a target below `OUTCOME_HEAD`."""
+    """Returns the cells of a target for the columns `OUTCOME_HEAD`."""
     return [
         outcome.title,
         str(sum(outcome.tests.values())),
@@ -399,7 +402,7 @@ def outcome_cells(outcome: Outcome) -> list[str]:
 
 
 def outcomes_table(outcomes: Sequence[Outcome]) -> str:
-    """Targets, with how many tests and cases came to what."""
+    """Returns an HTML table of targets with their results."""
     rows = [
         [
             *outcome_cells(each),
@@ -415,8 +418,8 @@ _DOCS = """# Attacks and faults
 
 This page lists the attacks and faults that sero-mj is tested against, and the limits that it
 enforces. `make robustness` runs the tests and rewrites this page. The test of an attack fails if
-the attack runs a program, ends or blocks sero-mj, increases its memory without limit, or makes it
-apply a wrong value. Hypothesis generates the cases. The same seed generates the same cases.
+sero-mj exits, hangs, uses more and more memory, runs a program or applies a wrong value.
+Hypothesis generates the cases, and the same seed always generates the same cases.
 
 {about}; seed {seed}.
 
@@ -434,21 +437,21 @@ apply a wrong value. Hypothesis generates the cases. The same seed generates the
 
 ## Limits
 
-An item that exceeds a limit is rejected with a message that states its size and the limit. If a
-packet queue or a history is full, the oldest entries are dropped.
+sero-mj rejects an item that exceeds a limit with a message that states its size and the limit.
+If a packet queue or a history is full, the oldest entries are dropped.
 
 {limits}
 """
 
 
 def markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A table of Markdown."""
+    """Returns a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join(f"| {' | '.join(cell.replace('|', '/') for cell in row)} |" for row in lines)
 
 
 def outcomes_markdown(outcomes: Sequence[Outcome]) -> str:
-    """Targets, with their numbers of tests and cases, and how they ended."""
+    """Returns a Markdown table of targets with their results."""
     return markdown(OUTCOME_HEAD, [outcome_cells(each) for each in outcomes])
 
 
@@ -469,8 +472,8 @@ td:last-child {{ white-space: normal }} img {{ max-width: 100% }} .bad {{ color:
 <h2>Faults</h2>{faults}
 <h2>A long run</h2><p>{soak}</p>
 <img src="{picture}" alt="memory, handles, threads and latencies over time">
-<h2>Limits</h2><p>An item that exceeds a limit is rejected with its size and the limit. If a packet
-queue or a history is full, the oldest entries are dropped.</p>
+<h2>Limits</h2><p>sero-mj rejects an item that exceeds a limit with a message that states its size
+and the limit. If a packet queue or a history is full, the oldest entries are dropped.</p>
 {limits}
 </html>
 """
@@ -478,13 +481,15 @@ queue or a history is full, the oldest entries are dropped.</p>
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--seconds", type=float, help="of the long run (default 600, --quick 20)")
+    parser.add_argument(
+        "--seconds", type=float, help="duration of the long run, s (default: 600; --quick: 20)"
+    )
     parser.add_argument("--seed", type=int, default=random.randrange(2**31))
     parser.add_argument("--quick", action="store_true", help="fewer cases, without monkeys")
     options = parser.parse_args()
     seconds = options.seconds or (QUICK_SECONDS if options.quick else 600.0)
     if seconds < 10.0:
-        parser.error(f"--seconds: found {seconds:g}; expected at least 10, to pause in between")
+        parser.error(f"--seconds: found {seconds:g}; expected at least 10, because of the pauses")
     from soak import RATE, soak
 
     OUT.mkdir(parents=True, exist_ok=True)
@@ -507,16 +512,16 @@ def main() -> None:
         f"{os.cpu_count()} cores · Python {platform.python_version()} · "
         f"{'short form' if options.quick else 'long form'} · {time.monotonic() - begin:.0f} s"
     )
-    told = (
-        f"A page with one client receives {RATE} packets/s for {seconds:g} s. "
-        f"{rows[-1]['received']:,} of {int(RATE * seconds):,} packets were received, and "
-        f"{rows[-1]['states']:,} states were sent. Memory was {rows[0]['memory']:.0f} MiB at the "
-        f"beginning and {rows[-1]['memory']:.0f} MiB at the end, {grown(rows, 'memory'):.2f} times "
-        "the value after a quarter of the time, when history and caches are full. In the median "
-        "second, 99 % of the states were sent within "
+    summary = (
+        f"A page with one client receives {RATE} packets/s for {seconds:g} s. It received "
+        f"{rows[-1]['received']:,} of {int(RATE * seconds):,} packets and sent "
+        f"{rows[-1]['states']:,} states. Memory was {rows[0]['memory']:.0f} MiB at the "
+        f"beginning and {rows[-1]['memory']:.0f} MiB at the end, which is "
+        f"{grown(rows, 'memory'):.2f} times the value after a quarter of the time, when history "
+        "and caches are full. In the median second, 99 % of the states were sent within "
         f"{ages[len(ages) // 2]:.0f} ms after their packet. After a third of the time, the sender "
-        "pauses for 2 s and then sends the packets in a burst. After two thirds, the viewer "
-        "process is suspended for 2 s."
+        "pauses for 2 s and then sends the delayed packets in a burst. After two thirds, the "
+        "viewer process is suspended for 2 s."
     )
     page = _PAGE.format(
         about=html.escape(about),
@@ -525,7 +530,7 @@ def main() -> None:
         seed=options.seed,
         fuzzed=outcomes_table(fuzzed),
         faults=outcomes_table(faults),
-        soak=html.escape(told),
+        soak=html.escape(summary),
         picture=picture_of(rows),
         limits=table(["item", "maximum"], limits()),
     )
@@ -536,7 +541,7 @@ def main() -> None:
             seed=options.seed,
             fuzzed=outcomes_markdown(fuzzed),
             faults=outcomes_markdown(faults),
-            soak=told,
+            soak=summary,
             limits=markdown(["item", "maximum"], limits()),
         )
         (ROOT / "docs" / "attacks.md").write_text(text)

@@ -1,9 +1,9 @@
-"""Measures topics of ROS 2 and bags: loss and latency at 1 kHz beside rendering, speed of replays.
+"""Measures the loss and latency of ROS 2 topics at 1 kHz, and the speed of replayed bags.
 
     .venv/bin/python benchmarks/ros2.py [--seconds 5]
 
-A publisher in another process sends states of 7 joints by Cyclone DDS, on this machine. Bare is a
-reader of Cyclone DDS alone, which decodes each message. All rows are of one run.
+A publisher in another process on this machine sends the states of 7 joints by Cyclone DDS. The
+reference is a plain reader of Cyclone DDS that decodes each message.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from sero_mj.data.record.replay import Replay
 from sero_mj.load import load_scene
 
 HERE = Path(__file__).parent
-sys.path.insert(0, str(HERE.parent / "tests"))  # for messages and publishers written by hand
+sys.path.insert(0, str(HERE.parent / "tests"))  # for messages and publishers of tests
 DOMAIN, RATE = 150, 1000
 NAMES = [f"fr3_joint{i}" for i in range(1, 8)]
 SCENE = f"""
@@ -73,15 +73,15 @@ def published(count: int) -> subprocess.Popen[bytes]:
 
 
 def spread(late: list[float]) -> tuple[str, str]:
-    """Median and 99th percentile, ms."""
+    """Returns the median and the 99th percentile of latencies, ms."""
     if not late:
         return "", ""
-    median, most = np.percentile(np.array(late) * 1e3, (50, 99))
-    return f"{median:.2f}", f"{most:.2f}"
+    p50, p99 = np.percentile(np.array(late) * 1e3, (50, 99))
+    return f"{p50:.2f}", f"{p99:.2f}"
 
 
 def bare(count: int) -> tuple[int, list[float]]:
-    """A reader of Cyclone DDS; how many messages came, and how late."""
+    """Receives messages with Cyclone DDS; returns the number of messages and latencies (s)."""
     from cyclonedds.core import Policy, Qos
     from cyclonedds.sub import DataReader
     from cyclonedds.topic import Topic
@@ -106,7 +106,11 @@ def bare(count: int) -> tuple[int, list[float]]:
 
 
 def ours(count: int, folder: Path, *, renders: bool) -> tuple[int, list[float]]:
-    """A mirror at its full rate, or beside 30 pictures per second; from the stamp to MjData."""
+    """Receives messages with a mirror; returns the number of messages and latencies (s).
+
+    Latencies are from the time stamp to `MjData`. If `renders` is true, a thread renders 30 frames
+    per second.
+    """
     file = folder / "scene.toml"
     file.write_text(SCENE, encoding="utf-8")
     late: list[float] = []
@@ -142,7 +146,7 @@ def ours(count: int, folder: Path, *, renders: bool) -> tuple[int, list[float]]:
 
 
 def replayed(path: Path) -> float:
-    """How many times faster than real time a bag is played."""
+    """Returns the speed of a replay relative to real time."""
     with Replay(file=path) as replay:
         begin = time.perf_counter()
         replay.advance_to(1e6)
@@ -150,7 +154,7 @@ def replayed(path: Path) -> float:
 
 
 def sought(path: Path) -> float:
-    """Time of a seek in a bag, ms."""
+    """Returns the duration of a seek in a bag, ms."""
     with open_recording(path) as recording:
         (name,) = recording.sources
         times = np.random.default_rng(0).uniform(0.0, recording.duration, 20)
@@ -170,14 +174,14 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         runs: dict[str, Callable[[], tuple[int, list[float]]]] = {
-            "bare Cyclone DDS": lambda: bare(count),
+            "plain Cyclone DDS": lambda: bare(count),
             "to MjData": lambda: ours(count, folder, renders=False),
-            "to MjData, beside 30 pictures/s": lambda: ours(count, folder, renders=True),
+            "to MjData, rendering 30 frames/s": lambda: ours(count, folder, renders=True),
         }
         for title, measure in runs.items():
             came, late = measure()
             table.add_row(title, f"{came} of {count}", *spread(late))
-        bags = Table("bag", "times real time", "a seek, ms", title=f"replay, {RATE} Hz, 7 joints")
+        bags = Table("bag", "times real time", "seek, ms", title=f"replay, {RATE} Hz, 7 joints")
         for kind in ("mcap", "db3", "bag"):
             store = OLD_STORE if kind == "bag" else STORE
             entries = [

@@ -1,9 +1,9 @@
-"""Measures what decor and start-up cost; prints ratios on the same work in the same run.
+"""Measures the time for decor, frames, kinematics and start-up, and compares it with MuJoCo.
 
-    make bench                      everything (a few minutes with software rendering)
+    make bench                      all measurements (a few minutes with software rendering)
     .venv/bin/python benchmarks/run.py --quick
 
-Times are medians of alternating runs, so that a slow moment of the machine hits both sides.
+Times are medians of alternating measurements, so that other load affects all of them.
 """
 
 from __future__ import annotations
@@ -56,13 +56,13 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def alternate(works: list[Callable[[], object]], rounds: int) -> list[float]:
-    """Median time of each work, taken in turns."""
+    """Calls functions alternately; returns the median time of each function, s."""
     times = np.array([[seconds(work) for work in works] for _ in range(rounds)])
     return [float(t) for t in np.median(times, axis=0)]
 
 
 def with_doubles(rounds: int) -> list[Row]:
-    """51 joints with everything on and one double each: layout, frame, geoms and a pick."""
+    """Measures layout, frame, geoms, pick and place for 51 joints with doubles and all features."""
     world = make_world(WORLDS[51], doubles=True)
     data, placer = world.make_data(), Placer(world)
     placer.place(data)
@@ -90,8 +90,8 @@ def with_doubles(rounds: int) -> list[Row]:
     name = "51 joints and doubles"
     return [
         (f"layout, {name}", f"{laid_out * 1e3:.2f} ms", "", "", "under 2 ms"),
-        (f"geoms, {name}", f"{decor.buffer.count}", f"left out {decor.buffer.dropped}", "",
-         "to 1024"),
+        (f"geoms, {name}", f"{decor.buffer.count}", f"{decor.buffer.dropped} dropped", "",
+         "at most 1024"),
         (f"frame 1280x800, {name}", f"{full * 1e3:.1f} ms", f"bare {bare * 1e3:.1f} ms",
          f"{full / bare:.2f}", "at most 1.5"),
         (f"pick, {name}", f"{picked * 1e3:.2f} ms", "", "", "under 2 ms"),
@@ -100,7 +100,7 @@ def with_doubles(rounds: int) -> list[Row]:
 
 
 def layout(rounds: int) -> list[Row]:
-    """Decor layout alone, of robots that stand and of robots that move."""
+    """Measures the layout of decor for robots at rest and for moving robots."""
     rows = []
     goals = {7: "at most 200", 51: "at most 120"}
     for n, counts in WORLDS.items():
@@ -117,7 +117,7 @@ def layout(rounds: int) -> list[Row]:
             mujoco.mj_kinematics(world.model, data)
 
         times = {}
-        for how, between in (("still", lambda: None), ("moving", move)):
+        for how, between in (("at rest", lambda: None), ("moving", move)):
             _, *times[how] = alternate(
                 [
                     between,
@@ -129,14 +129,14 @@ def layout(rounds: int) -> list[Row]:
         rows += [
             (f"layout, {n} joints, {how}, {decor.buffer.count} geoms", f"{draw * 1e3:.3f} ms",
              f"mj_kinematics {kinematics * 1e3:.3f} ms", f"{draw / kinematics:.1f}",
-             goals.get(n, "") if how == "still" else "")
+             goals.get(n, "") if how == "at rest" else "")
             for how, (draw, kinematics) in times.items()
         ]  # fmt: skip
     return rows
 
 
 def frames(rounds: int) -> list[Row]:
-    """A headless frame with decor over the bare one."""
+    """Measures headless frames with decor, relative to frames without decor."""
     rows = []
     for n, counts in WORLDS.items():
         world = make_world(counts)
@@ -153,7 +153,7 @@ def frames(rounds: int) -> list[Row]:
             for case in cases:
                 shown(*case)
             bare, labelled, full = alternate([lambda c=c: shown(*c) for c in cases], rounds)
-        for name, value in (("arrows, billboards", labelled), ("and axes", full)):
+        for name, value in (("arrows, billboards", labelled), ("with axes", full)):
             goal = "at most 1.25" if n == 7 else ""
             rows.append(
                 (f"frame 1280x800, {n} joints, {name}", f"{value * 1e3:.1f} ms",
@@ -163,7 +163,7 @@ def frames(rounds: int) -> list[Row]:
 
 
 def kinematics(rounds: int) -> list[Row]:
-    """Numpy DH against MuJoCo, one pose and a batch of a thousand."""
+    """Measures DH kinematics in NumPy relative to MuJoCo, for one pose and for 1000 poses."""
     world = make_world([7])
     data = world.make_data()
     table = world.robots["robot0"].robot.dh
@@ -187,7 +187,7 @@ def kinematics(rounds: int) -> list[Row]:
 
 
 def start_up(rounds: int) -> list[Row]:
-    """From the command to the first picture, against plain MuJoCo on the exported scene."""
+    """Measures the time to the first image, relative to plain MuJoCo with the exported scene."""
     with tempfile.TemporaryDirectory() as folder:
         xml, out = Path(folder) / "lwr.xml", Path(folder) / "lwr.png"
         command = [sys.executable, "-m", "sero_mj"]
@@ -205,7 +205,7 @@ def start_up(rounds: int) -> list[Row]:
         )  # fmt: skip
     cost = ours_import - nothing
     return [
-        ("sero-mj render, to the first picture", f"{a:.2f} s",
+        ("sero-mj render, to the first image", f"{a:.2f} s",
          f"bare mujoco {b:.2f} s", f"{a / b:.2f}", "at most 1.4"),
         ("import sero_mj", f"{cost * 1e3:.0f} ms",
          f"python -c pass {nothing * 1e3:.0f} ms", f"{cost / nothing:.2f}", "under 100 ms"),
@@ -213,7 +213,7 @@ def start_up(rounds: int) -> list[Row]:
 
 
 def memory(count: int) -> list[Row]:
-    """Resident memory after many frames of layout and follow, against after a few."""
+    """Measures resident memory after many frames, relative to the memory after a few frames."""
     world: World = make_world([7])
     data, decor, toggles = world.make_data(), Decor(world), Toggles(world)
     find_camera(world)
@@ -251,7 +251,7 @@ def main() -> None:
     options = parser.parse_args()
     rounds, count = (5, 5_000) if options.quick else (25, 100_000)
     console = Console(width=130)
-    table = Table("what", "time", "against", "ratio", "goal", title="sero-mj benchmarks")
+    table = Table("measurement", "result", "reference", "ratio", "goal", title="sero-mj benchmarks")
     for case in (layout, with_doubles, frames, kinematics, start_up):
         console.print(f"measuring {case.__name__} ...", style="dim")
         for row in case(rounds):

@@ -1,10 +1,10 @@
-"""Measures what a simulated LWR costs beside a bare `mj_step` loop of the same model.
+"""Measures the computing time of a simulated LWR, relative to a bare `mj_step` loop of the model.
 
     .venv/bin/python benchmarks/simulate.py
 
-The scenario loop has joint impedance with torque limits, sensors and a log of every step at 1 kHz;
-the bare loop holds the same arm. Times are medians of alternating runs, so that a slow moment of
-the machine hits all.
+Scenarios have a controller with torque limits, sensors, and a log of every step at 1 kHz. The bare
+loop holds the same arm. Times are medians of alternating measurements, so that other load affects
+all of them.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from sero_mj import Scenario, Scene, SerialRobot, Simulation
 from sero_mj.simulate.log_output import RunRecorder
 
 HOME = [0.0, 0.6, 0.0, -1.2, 0.0, 1.2, 0.0]
-RECORDING: list[float] = []  # time to record, as a share of the rest of the same run
+RECORDING: list[float] = []  # recording times as shares of the rest of the same run
 SECONDS, ROUNDS, TOGETHER = 8.0, 7, 64
 SWING = {"kind": "sine", "amplitude_deg": 5.0, "frequency": 0.5}
 GAINS = {"joint_impedance": {"stiffness": 800.0}}
@@ -51,7 +51,7 @@ def simulation(controller: str, **fields: Any) -> Simulation:
 
 
 def together(controller: str, **fields: Any) -> float:
-    """Microseconds per step and run, of runs that are simulated together."""
+    """Returns microseconds per step and run, for runs that are simulated together."""
     runs = Simulation.together([scenario(controller, **fields)] * TOGETHER)
     assert isinstance(runs[0], Simulation)
     steps = runs[0].steps // 16
@@ -61,9 +61,9 @@ def together(controller: str, **fields: Any) -> float:
 
 
 def run(made: Simulation, record: Path | None = None) -> float:
-    """Microseconds per step."""
+    """Returns microseconds per step of a run, which is recorded if `record` is not None."""
     if record is not None:
-        record.unlink(missing_ok=True)  # to free the old one is no part of recording
+        record.unlink(missing_ok=True)  # the time to delete the previous file is not measured
     start = time.perf_counter()
     if record is None:
         for _ in made.run():
@@ -84,7 +84,7 @@ def run(made: Simulation, record: Path | None = None) -> float:
 def bare() -> float:
     plant = simulation("gravity_compensation").plant
     model, data = plant.model, plant.data
-    data.qfrc_applied[:] = data.qfrc_bias  # what holds it
+    data.qfrc_applied[:] = data.qfrc_bias  # torques that hold the arm
     steps = round(SECONDS / plant.timestep)
     start = time.perf_counter()
     for _ in range(steps):
@@ -118,7 +118,9 @@ def main() -> None:
             work()
         times = np.array([[work() for work in works.values()] for _ in range(ROUNDS)])
     medians = np.median(times, axis=0)
-    table = Table("what", "us a step", "times bare", "times real time", title="sero-mj simulate")
+    table = Table(
+        "simulation", "us per step", "times bare", "times real time", title="sero-mj simulate"
+    )
     for name, median in zip(works, medians, strict=True):
         ratio, speed = median / medians[0], 1e3 / median
         table.add_row(name, f"{median:.1f}", f"{ratio:.2f}", f"{speed:.0f}")
@@ -126,7 +128,7 @@ def main() -> None:
     console.print(table)
     share = 100 * float(np.median(RECORDING))
     console.print(
-        f"recording costs {share:.0f} % more, most of it in the mcap package (goal: under 50 %)"
+        f"recording adds {share:.0f} % to the time, mostly in the mcap package (goal: under 50 %)"
     )
     console.print("goals: at most 4 times bare, at least 25 times real time")
 

@@ -1,11 +1,12 @@
-"""Shows a robot on a page for long, at 1000 packets a second; tells every second what it costs.
+"""Shows a robot on a page for a long time at 1000 packets/s, and prints resources every second.
 
     .venv/bin/python benchmarks/soak.py SECONDS
 
-Prints a line of JSON a second: time (s), resident memory (MiB), open handles, threads, from sending
-a packet to its state in a message to the page (p50, p99, ms), packets received, states sent. A
-client takes the states as a browser does. On the way the sender is silent for two seconds and then
-sends all at once, and the process that shows is suspended for as long. Needs a C compiler, Linux.
+Prints a line of JSON per second: time (s), resident memory (MiB), open handles, threads, latency
+from sending a packet to sending the page a state with it (p50, p99, ms), received packets, and sent
+states. A client receives the states like a browser. During the run, the sender pauses for two
+seconds and then sends the delayed packets at once. Later, the process of the page is suspended for
+two seconds. Requires Linux and a C compiler.
 """
 
 from __future__ import annotations
@@ -31,13 +32,13 @@ from sero_mj import UdpReceiver
 from sero_mj.viewer.web.host import WebHost
 from sero_mj.viewer.web.server import socket_url
 
-RATE = 1000  # packets/s
-PAUSE = 2.0  # s, of the sender and of the process that shows
-SILENT_AT, SUSPENDED_AT = 1 / 3, 2 / 3  # of the whole time
+RATE = 1000  # packets per second
+PAUSE = 2.0  # duration of the pauses of the sender and of the page's process, s
+SILENT_AT, SUSPENDED_AT = 1 / 3, 2 / 3  # begins of the pauses as shares of the whole time
 
 
 def resources() -> dict[str, Any]:
-    """What this process has."""
+    """Returns the memory, handles and threads of this process."""
     pages = int(Path("/proc/self/statm").read_text().split()[1])
     return {
         "memory": pages * os.sysconf("SC_PAGE_SIZE") / 2**20,
@@ -47,7 +48,7 @@ def resources() -> dict[str, Any]:
 
 
 def take_states(url: str) -> None:
-    """Takes and answers messages until the page is closed."""
+    """Receives and confirms messages of a page until the page is closed."""
     with connect(socket_url(url, "/live"), max_size=None) as line:
         try:
             while True:
@@ -58,7 +59,7 @@ def take_states(url: str) -> None:
 
 
 def serve() -> None:
-    """Shows the robot until standard input ends."""
+    """Shows the robot on a page until standard input ends."""
     source = UdpReceiver(structure=STRUCTURE)
     ages: list[float] = []
     applied = [0.0]
@@ -72,15 +73,15 @@ def serve() -> None:
     with mirror_of(source) as mirror, WebHost(mirror) as page:
         mirror.listen(lambda _, packets: applied.append(packets.values["sent"][-1, 0]))
         print(json.dumps({"port": source.port, "url": page.url}), flush=True)
-        begin = told = time.monotonic()
+        begin = printed = time.monotonic()
         while page.frame() and not over.is_set():
             now = time.monotonic()
             if len(applied) > 1:
                 ages.append(now - applied[-1])
                 applied[1:] = []
-            if now - told < 1.0:
+            if now - printed < 1.0:
                 continue
-            told = now
+            printed = now
             p50, p99 = np.percentile(ages, [50, 99]) * 1e3 if ages else (None, None)
             ages.clear()
             found = {"time": now - begin, **resources(), "p50": p50, "p99": p99}
@@ -89,7 +90,7 @@ def serve() -> None:
 
 
 def soak(seconds: float) -> Iterator[dict[str, Any]]:
-    """Gives what the process that shows tells, every second."""
+    """Yields the measurements that the process of the page prints every second."""
     with tempfile.TemporaryDirectory() as folder:
         program = compile_c(Path(folder))["udp_flood"]
         shows = subprocess.Popen(
@@ -116,12 +117,12 @@ def soak(seconds: float) -> Iterator[dict[str, Any]]:
             yield json.loads(line)
         taker.join()
         if shows.wait():
-            raise RuntimeError(f"the process that shows ended with {shows.returncode}")
+            raise RuntimeError(f"the process of the page ended with status {shows.returncode}")
 
 
 if __name__ == "__main__":
     if sys.argv[1] == "--serve":
         serve()
     else:
-        for told in soak(float(sys.argv[1])):
-            print(json.dumps(told), flush=True)
+        for found in soak(float(sys.argv[1])):
+            print(json.dumps(found), flush=True)

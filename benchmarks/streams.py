@@ -1,9 +1,9 @@
-"""Measures what packets cost: rates without loss, latency from packet to MjData and to pixels.
+"""Measures receivers of packets: rates without loss, and latencies to `MjData` and to pixels.
 
     .venv/bin/python benchmarks/streams.py [--quick]
 
-Needs a C compiler: the sender and the reference receiver are in C. All rows are of one run, on
-packets of 112 bytes over loopback. A machine that is busy otherwise gives less.
+Requires a C compiler, because the sender and the reference receiver are in C. Packets have 112
+bytes and use the loopback interface. Other load on the machine reduces the rates.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ HERE = Path(__file__).parent
 STRUCTURE = "count:1F sent:1F joints:7F 5F"
 SHM_STRUCTURE = "lock:1Q sent:1F joints:7F 5F"
 PACKET_BYTES = 112
-RATES = (20_000, 50_000, 100_000, 150_000, 200_000, 300_000, 400_000)  # packets/s
+RATES = (20_000, 50_000, 100_000, 150_000, 200_000, 300_000, 400_000)  # packets per second
 FPS = 30
-# A receiver: opened, it has a port; `finish` waits for the end and tells how many came.
+# An open receiver: its port, and a function that waits for the end and returns the packet count.
 Receiving = tuple[int, Callable[[], int]]
 
 
 def compile_c(folder: Path) -> dict[str, str]:
-    """The C programs beside this file, by name."""
+    """Compiles the C programs in this folder; returns the executables by name."""
     programs = {}
     for source in HERE.glob("*.c"):
         programs[source.stem] = str(folder / source.stem)
@@ -69,7 +69,7 @@ def mirror_of(source: Source) -> Mirror:
 
 @contextmanager
 def render_loop(mirror: Mirror) -> Iterator[list[int]]:
-    """Renders 30 frames a second on a thread of its own, as a viewer would; counts them."""
+    """Renders 30 frames per second in a thread like a viewer; yields a list with their count."""
     stop, frames = threading.Event(), [0]
 
     def run() -> None:
@@ -84,7 +84,7 @@ def render_loop(mirror: Mirror) -> Iterator[list[int]]:
 
     thread = threading.Thread(target=run)
     thread.start()
-    while not frames[0]:  # the GL context takes a while
+    while not frames[0]:  # the creation of the OpenGL context takes time
         time.sleep(0.01)
     yield frames
     stop.set()
@@ -92,7 +92,7 @@ def render_loop(mirror: Mirror) -> Iterator[list[int]]:
 
 
 def settle(count: Callable[[], int]) -> int:
-    """Waits until no more packets come; returns how many did."""
+    """Waits until no more packets arrive; returns the number of packets."""
     before = -1
     while (now := count()) != before:
         before = now
@@ -102,7 +102,10 @@ def settle(count: Callable[[], int]) -> int:
 
 @contextmanager
 def our_receiver(only_latest: bool) -> Iterator[Receiving]:
-    """A mirror that renders; in the lossless mode all packets that were applied are counted."""
+    """Receives packets with a mirror that is rendered.
+
+    Counts received packets, or applied packets in the lossless mode.
+    """
     source = UdpReceiver(structure=STRUCTURE, only_latest_packet=only_latest)
     applied = [0]
 
@@ -117,7 +120,7 @@ def our_receiver(only_latest: bool) -> Iterator[Receiving]:
 
 @contextmanager
 def bare_python() -> Iterator[Receiving]:
-    """The simplest loop: `recv_into`, one packet at a time, nothing else."""
+    """Receives one packet at a time with `recv_into` in a minimal Python loop."""
     count, stop = [0], threading.Event()
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4 << 20)
@@ -142,21 +145,21 @@ def bare_python() -> Iterator[Receiving]:
 
 @contextmanager
 def bare_c(program: str) -> Iterator[Receiving]:
-    """A `recvmmsg` loop in C, the most that can be had."""
+    """Receives packets with a `recvmmsg` loop in C, which gives the maximum possible rate."""
     with subprocess.Popen([program, "1"], stdout=subprocess.PIPE, text=True) as sink:
         assert sink.stdout is not None
         yield int(sink.stdout.readline()), lambda: int(sink.stdout.readline())  # type: ignore
 
 
 def flood(program: str, port: int, rate: int, count: int) -> float:
-    """Sends; returns the rate that was reached."""
+    """Sends `count` packets at a rate; returns the actual rate."""
     command = [program, str(port), str(rate), str(count)]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     return float(done.stdout.split()[1])
 
 
 def throughput(programs: dict[str, str], seconds: float) -> list[Row]:
-    """The highest rate of a ladder at which nothing is lost."""
+    """Returns the highest of `RATES` without loss for each receiver."""
     contenders: dict[str, Callable[[], object]] = {
         "recvmmsg loop in C, alone": lambda: bare_c(programs["udp_sink"]),
         "recv_into loop in Python, alone": bare_python,
@@ -183,13 +186,13 @@ def throughput(programs: dict[str, str], seconds: float) -> list[Row]:
 
 
 def latency(programs: dict[str, str], seconds: float) -> list[Row]:
-    """From sending to MjData at 1 kHz, waiting for packets; and to pixels at 30 frames a second."""
+    """Returns latencies from sending to `MjData` at 1 kHz, and to pixels at 30 frames/s."""
     udp = UdpReceiver(structure=STRUCTURE)
     block = f"/sero_bench_{os.getpid()}"
     shm = ShmReader(block=block, structure=SHM_STRUCTURE, lock="lock")
     rows: list[Row] = []
     for kind, source in (("UDP", udp), ("shared memory", shm)):
-        applied: list[float] = [0.0]  # when the packet that is shown was sent
+        applied: list[float] = [0.0]  # send times of applied packets
         with mirror_of(source) as mirror:
             mirror.listen(lambda _, packets: applied.append(packets.values["sent"][-1, 0]))
             program, to = ("udp_flood", udp.port) if source is udp else ("shm_beat", block)
@@ -231,7 +234,7 @@ def _to_pixels(mirror: Mirror, applied: list[float], command: list[str]) -> list
 
 
 def answers(programs: dict[str, str], seconds: float) -> list[Row]:
-    """FRI at 1 kHz beside a film: what a controller gets of its answers; and checks, alone."""
+    """Returns the share and delay of answers to FRI packets at 1 kHz, and the time of checks."""
     goal = "99.9 % answered, 99 % within 2 ms"
     scene = load_scene("lwr_fri")
     scene.sources["fri"] |= {"port": 0, "answer": True}
@@ -270,7 +273,7 @@ def _answered(programs: dict[str, str], port: int, seconds: float) -> tuple[str,
 
 @contextmanager
 def bare_answers() -> Iterator[int]:
-    """The simplest loop that answers, on a thread of this process."""
+    """Answers FRI packets with a minimal loop in a thread; yields its port."""
     stop = threading.Event()
     with socket.socket(type=socket.SOCK_DGRAM) as sock:
         sock.bind(("127.0.0.1", 0))
@@ -294,10 +297,11 @@ def bare_answers() -> Iterator[int]:
 
 
 def recording(folder: Path) -> list[Row]:
-    """What an hour of 19 doubles at 1 kHz takes on the disk, and a packet of time.
+    """Returns disk space and time for a recording of 19 doubles at 1 kHz.
 
-    Beside it the same packets in MCAP with nothing else, in the chunks of its library. A recorder's
-    are smaller, so that little is lost with its process, and it decodes some packets for others.
+    The reference is an MCAP file with only the same packets, in the chunks of its library. Chunks
+    of a recorder are smaller, so that few data are lost in a crash, and a recorder also stores some
+    decoded packets.
     """
     structure, count = Structure("19F"), 20_000
     size, times = 19 * 8, np.arange(count) / 1000
@@ -336,7 +340,7 @@ def recording(folder: Path) -> list[Row]:
 
 
 def _bare_mcap(path: Path, packets: Sequence[bytes]) -> int:
-    """Bytes of a file with the packets and nothing else."""
+    """Returns the size in bytes of an MCAP file with only the packets."""
     with open(path, "wb") as file:
         writer = Writer(file)
         writer.start()
@@ -348,7 +352,7 @@ def _bare_mcap(path: Path, packets: Sequence[bytes]) -> int:
 
 
 def decoding() -> list[Row]:
-    """A packet to arrays, against `numpy.frombuffer` for the same arrays."""
+    """Returns the time to decode packets, relative to `numpy.frombuffer` for the same arrays."""
     structure = Structure("7F7F")
     packet = np.arange(14.0).tobytes()
     rows_of_bytes = np.frombuffer(packet * 256, np.uint8).reshape(256, PACKET_BYTES)
@@ -365,18 +369,18 @@ def decoding() -> list[Row]:
     return [
         ("decode 7F7F, one packet", f"{ours * 1e9:.0f} ns", f"frombuffer {one * 1e9:.0f} ns",
          f"{ours / one:.2f}", "at most 2"),
-        ("decode 7F7F, of 256 at once", f"{many * 1e9:.0f} ns", f"frombuffer {one * 1e9:.0f} ns",
+        ("decode 7F7F, 256 at once", f"{many * 1e9:.0f} ns", f"frombuffer {one * 1e9:.0f} ns",
          f"{many / one:.2f}", "at most 2"),
     ]  # fmt: skip
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="1 s a measurement instead of 5")
+    parser.add_argument("--quick", action="store_true", help="1 s per measurement instead of 5 s")
     options = parser.parse_args()
     seconds = 1.0 if options.quick else 5.0
     console = Console(width=130)
-    table = Table("what", "result", "against", "ratio", "goal", title="sero-mj streams")
+    table = Table("measurement", "result", "reference", "ratio", "goal", title="sero-mj streams")
     with tempfile.TemporaryDirectory() as folder:
         programs = compile_c(Path(folder))
         for row in [

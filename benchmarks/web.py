@@ -1,12 +1,13 @@
-"""Measures pages, live ones and files.
+"""Measures live pages and exported pages.
 
-Live: our own work per frame, what goes to a browser, what it costs a loop, from a packet to its
-picture, the first picture over a slow link. Files: to write one, and what a browser takes to draw.
+For live pages: the work per frame, the data sent to a browser, the effect on a loop of the user,
+the latency from a packet to the image, and the first image over a slow link. For exported pages:
+the time to write a page, and the time in which a browser draws a frame.
 
     .venv/bin/python benchmarks/web.py
 
-Needs Chromium and Playwright. Robots move and everything is shown, axes and numbers included.
-The browser draws a small page, for without a GPU it takes both cores.
+Requires Chromium and Playwright. Robots move, and all visual features are shown. The browser draws
+a small page, because it uses both cores without a GPU.
 """
 
 from __future__ import annotations
@@ -37,7 +38,7 @@ from sero_mj import Mirror
 from sero_mj.viewer.web.host import WebHost
 
 SECONDS = 10.0
-SHOWN = "() => globalThis.player?.calls > 0"  # the first picture is drawn
+SHOWN = "() => globalThis.player?.calls > 0"  # whether the first image is drawn
 _ARGUMENTS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -48,7 +49,7 @@ _ARGUMENTS = [
 
 
 def serve(joints: int) -> None:
-    """Serves moving robots; after some seconds with a browser it prints what that cost."""
+    """Serves a page with moving robots for some seconds, and prints measurements as JSON."""
     rng = np.random.default_rng(1)
     with Mirror(make_world(WORLDS[joints]).scene) as mirror, WebHost(mirror) as page:
         print(page.url, flush=True)
@@ -69,7 +70,7 @@ def serve(joints: int) -> None:
                     mirror.data, f"{name}.{key}", wave * (1 if key != "torques" else 20)
                 )
             if page.is_seen and begin == float("inf"):
-                begin = now + 5.0  # until the browser has drawn its first pictures
+                begin = now + 5.0  # by then, the browser has drawn its first images
             if now < begin:
                 states, sent = page.browsers.sent, sent_by(page.server.port)
                 continue
@@ -87,7 +88,7 @@ def serve(joints: int) -> None:
 
 
 def sent_by(port: int) -> int:
-    """How many bytes a port of this machine has sent over connections that are open now."""
+    """Returns the number of bytes that a port has sent over the open connections."""
     words = subprocess.run(
         ["ss", "-tiHn", "state", "established", f"( sport = :{port} )"],
         capture_output=True, text=True, check=True,
@@ -96,7 +97,7 @@ def sent_by(port: int) -> int:
 
 
 def measure_viewer(browser: Any) -> None:
-    """Prints what a page costs a loop of the user's own while a browser shows it."""
+    """Prints the effect of a page that a browser shows on a loop of the user."""
     with sero_mj.view(loop_scene(), web=True) as viewer:
         page = browser.new_page(viewport={"width": 480, "height": 320})
         page.goto(viewer.url)
@@ -106,7 +107,7 @@ def measure_viewer(browser: Any) -> None:
 
 
 def measure(browser: Any, joints: int) -> None:
-    """Prints what a page costs."""
+    """Prints the measurements of a live page with moving robots."""
     server = subprocess.Popen(
         [sys.executable, __file__, str(joints)], stdout=subprocess.PIPE, text=True
     )
@@ -122,15 +123,16 @@ def measure(browser: Any, joints: int) -> None:
     server.wait()
     print(
         f"{joints:3} joints, {found['geoms']} geoms: "
-        f"{1e3 * found['median']:.2f} ms a frame, 95 %: {1e3 * found['slow']:.2f} ms; "
-        f"{found['states']:.1f} states/s, {found['bytes'] / 1e3:.1f} kB each; "
-        f"page with the robot after {opened:.2f} s",
+        f"{1e3 * found['median']:.2f} ms per frame, p95 {1e3 * found['slow']:.2f} ms; "
+        f"{found['states']:.1f} states/s of {found['bytes'] / 1e3:.1f} kB; "
+        f"first image after {opened:.2f} s",
         flush=True,
     )
 
 
-# What a frame of a file takes, ms: as it is, without what is left out on slow machines, and the
-# surfaces of the robots and their doubles alone. Reading a pixel waits until all is drawn.
+# Returns times of frames of an exported page, ms: the whole frame, the frame without the parts that
+# are omitted on slow machines, and only the surfaces of robots and doubles. Reading a pixel waits
+# until the frame is drawn.
 _FRAMES = """() => {
     const { stage } = player, gl = stage.renderer.getContext(), pixel = new Uint8Array(4);
     const { robots, arrows, items, floor } = stage, all = [arrows.mesh, items.group, floor];
@@ -156,7 +158,7 @@ _FRAMES = """() => {
 
 
 def measure_frames(browser: Any, folder: Path) -> None:
-    """Prints what a browser takes to draw a frame of a file, and what it takes to write one."""
+    """Prints the times to write an exported page and to draw its frames in a browser."""
     for name in ("impedance_push", "justin_push"):
         path, scene = folder / f"{name}.html", sero_mj.load_scene(name)
         begin = time.monotonic()
@@ -170,14 +172,14 @@ def measure_frames(browser: Any, folder: Path) -> None:
         page.close()
         print(
             f"{name}: written in {took:.1f} s, {path.stat().st_size / 1e6:.2f} MB; {calls} draw "
-            f"calls; {full:.0f} ms a frame, {less:.0f} ms without shadows and depth of doubles, "
-            f"surfaces alone {alone:.0f} ms: {full / alone:.2f} and {less / alone:.2f} times",
+            f"calls; {full:.0f} ms per frame, {less:.0f} ms without shadows and depth of doubles, "
+            f"{alone:.0f} ms for surfaces only (ratios {full / alone:.2f} and {less / alone:.2f})",
             flush=True,
         )
 
 
 def measure_latency(browser: Any) -> None:
-    """Prints how long it takes from a packet to the picture with it."""
+    """Prints the latency from a packet to the image that shows it."""
     scene = sero_mj.load_scene("lwr_udp")
     scene.sources["udp"]["port"] = 0
     with Mirror(scene) as mirror, WebHost(mirror) as host:
@@ -200,10 +202,10 @@ def measure_latency(browser: Any) -> None:
         thread.join()
         page.close()
     p50, p90 = np.percentile(took, [50, 90]) * 1e3
-    print(f"packet to picture: median {p50:.0f} ms, 90 %: {p90:.0f} ms", flush=True)
+    print(f"packet to image: p50 {p50:.0f} ms, p90 {p90:.0f} ms", flush=True)
 
 
-# Says when a picture was drawn with an angle, ms since 1970.
+# Defines a function that returns the time at which an image with an angle was drawn, ms since 1970.
 _WATCH = """() => {
     const { view, state } = player, draw = view.draw.bind(view);
     let wanted = null;
@@ -220,7 +222,7 @@ _WATCH = """() => {
 
 
 class SlowLink:
-    """Hands connections on, with so many bytes a second."""
+    """A proxy for connections to a port, which transfers `rate` bytes per second in total."""
 
     def __init__(self, port: int, rate: float) -> None:
         self._to, self._rate = port, rate
@@ -248,7 +250,7 @@ class SlowLink:
 
 
 def measure_slow_link(browser: Any, name: str) -> None:
-    """Prints when a page of a moving robot is there over 200 kB/s, and its states per second."""
+    """Prints the time to the first image of a page over a link with 200 kB/s."""
     with sero_mj.view(name, web=True) as viewer:
         assert viewer.url is not None
         link = SlowLink(urlsplit(viewer.url).port or 0, 200e3)
@@ -259,11 +261,11 @@ def measure_slow_link(browser: Any, name: str) -> None:
         page.wait_for_function(SHOWN)
         opened = time.monotonic() - begin
         context.close()
-    print(f"{name} over 200 kB/s: the first picture after {opened:.1f} s", flush=True)
+    print(f"{name} over 200 kB/s: first image after {opened:.1f} s", flush=True)
 
 
 def main() -> None:
-    """Prints what was measured."""
+    """Prints all measurements."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:

@@ -1,10 +1,10 @@
-"""Measures a window: our own work per frame, the time to the first frame, what it costs a loop.
+"""Measures windows: the work per frame, the time to the first frame, and the effect on a loop.
 
     xvfb-run -s "-screen 0 1600x1000x24" .venv/bin/python benchmarks/window.py
 
-Needs a display. Frames are drawn as well, in a small window, but only our own work is counted:
-input, sources, MuJoCo's update of the scene, decor, hovering, plots and the status line. The loop
-is one of the user's own, at 1 kHz, beside a window of `sero_mj.view`.
+Requires a display. The work per frame includes input, sources, MuJoCo's update of the scene, decor,
+hovering, plots and the status line, but not the drawing by OpenGL. The loop runs at 1 kHz in the
+user's program and updates a window of `sero_mj.view`.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ with Mirror(scene) as mirror, Window(mirror, size=(1280, 800)) as window:
 
 
 def work(joints: int) -> tuple[float, float]:
-    """Median and 95th percentile of our own work for a frame with everything shown, s."""
+    """Returns the median and 95th percentile of the work per frame with all features, s."""
     scene = make_world(WORLDS[joints]).scene
     times = []
     with Mirror(scene) as mirror, Window(mirror, size=(400, 300)) as window:
@@ -53,7 +53,7 @@ def work(joints: int) -> tuple[float, float]:
 
 
 def first_frame() -> float:
-    """From the start of the process until the first frame is on the screen, s."""
+    """Returns the time from the start of a process to the first frame on the screen, s."""
     begin = time.time()
     done = subprocess.run(
         [sys.executable, "-c", _FIRST], check=True, capture_output=True, text=True
@@ -62,12 +62,12 @@ def first_frame() -> float:
 
 
 def loop_scene() -> sero_mj.Scene:
-    """An LWR with arrows."""
+    """Returns a scene of an LWR with arrows."""
     return sero_mj.Scene(robots=[sero_mj.SerialRobot.from_model("lwr", show_arrows=True)])
 
 
 def measure_loop(viewer: Viewer) -> str:
-    """What `set` and `sync` take in a loop at 1 kHz, three times, and the pictures meanwhile."""
+    """Measures `set` and `sync` in a loop at 1 kHz three times; returns a text with the results."""
     lines = []
     for _ in range(3):
         sets, syncs = [], []
@@ -90,22 +90,22 @@ def measure_loop(viewer: Viewer) -> str:
         took = time.perf_counter() - begin
         texts = []
         for name, times in (("set", sets), ("sync", syncs)):
-            p50, p99, most = 1e3 * np.percentile(times, [50, 99, 100])
-            texts.append(f"{name} {p50:.4f} ms, 99 %: {p99:.4f}, most {most:.3f}")
-        pictures = (viewer.frame_count - shown) / took
-        lines.append(f"loop at 1 kHz: {'; '.join(texts)}; {pictures:.0f} pictures/s")
+            p50, p99, highest = 1e3 * np.percentile(times, [50, 99, 100])
+            texts.append(f"{name} p50 {p50:.4f} ms, p99 {p99:.4f} ms, max {highest:.3f} ms")
+        rate = (viewer.frame_count - shown) / took
+        lines.append(f"loop at 1 kHz: {'; '.join(texts)}; {rate:.0f} frames/s")
     return "\n".join(lines)
 
 
 def main() -> None:
-    """Prints what was measured."""
+    """Prints all measurements."""
     for joints in WORLDS:
         median, slow = work(joints)
-        print(f"{joints:3} joints: {1e3 * median:.2f} ms a frame, 95 %: {1e3 * slow:.2f} ms")
+        print(f"{joints:3} joints: {1e3 * median:.2f} ms per frame, p95 {1e3 * slow:.2f} ms")
     times = sorted(first_frame() for _ in range(5))
     with sero_mj.view(loop_scene(), size=(640, 480)) as viewer:
         print(measure_loop(viewer))
-    print(f"first frame after {times[2]:.2f} s (of five: {times[0]:.2f} to {times[-1]:.2f})")
+    print(f"first frame after {times[2]:.2f} s (five starts: {times[0]:.2f} to {times[-1]:.2f} s)")
 
 
 if __name__ == "__main__":

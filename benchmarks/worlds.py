@@ -1,4 +1,4 @@
-"""Worlds of 7, 14 and 51 joints with everything shown, to measure on."""
+"""Worlds of 7, 14 and 51 joints with all visual features, for benchmarks."""
 
 from __future__ import annotations
 
@@ -6,16 +6,17 @@ import numpy as np
 
 from sero_mj import Double, Scene, SerialRobot, World
 
-# How 51 joints are spread over serial robots: Rollin' Justin's torso and neck, arms, hands of
-# four fingers, and platform (Hulin, Hertkorn, Preusche, section 4.1), as chains.
+# Numbers of joints of the serial robots with 51 joints, as in Rollin' Justin: torso, arms, hands
+# with four fingers, neck and platform (Hulin, Hertkorn, Preusche, section 4.1).
 JUSTIN = [3, 7, 7, 12, 12, 2, 8]
 WORLDS = {7: [7], 14: [7, 7], 51: JUSTIN}
 
 
 def make_world(counts: list[int], *, doubles: bool = False) -> World:
-    """LWRs where a chain has 7 joints, else robots grown from as many rows of its table.
+    """Returns a world with one robot per entry of `counts`, the number of its joints.
 
-    With `doubles` every robot has one, in another pose.
+    Robots with 7 joints are LWRs. The tables of other robots repeat rows of the LWR's table. With
+    `doubles`, each robot has a double in another pose.
     """
     rng = np.random.default_rng(1)
     lwr = SerialRobot.from_model("lwr")

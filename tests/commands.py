@@ -19,13 +19,13 @@ _IMPORTED = (
     "sero_mj.viewer.program.viewer", "sero_mj.viewer.web.host", "sero_mj.viewer.window.host",
     "matplotlib.figure", "matplotlib.backends.backend_agg", "matplotlib.backends.backend_pdf",
 )  # fmt: skip
-# A server has neither, and no module imported there has chosen a backend.
+# Variables that are not set in the server process, so that no imported module chooses a backend.
 UNSET = ("DISPLAY", "MUJOCO_GL")
 
 
 @cache
 def _server() -> Any:
-    """Returns a context whose processes are copies of one without display and backend."""
+    """Returns a context whose processes are copies of a process without display and backend."""
     methods = multiprocessing.get_all_start_methods()
     context = multiprocessing.get_context("forkserver" if "forkserver" in methods else "spawn")
     context.set_forkserver_preload([__name__, *_IMPORTED])
@@ -35,19 +35,16 @@ def _server() -> Any:
 def run_command(
     arguments: Sequence[str], folder: Path, environment: Mapping[str, str]
 ) -> tuple[int, str]:
-    """Runs `sero-mj ARGUMENTS` in a folder and returns its exit status and all output.
+    """Runs `sero-mj ARGUMENTS` in a folder; returns the exit status and all output.
 
-    The output is also stored in `printed.txt` in the folder. `environment` is the whole
-    environment.
+    The output is also stored in `printed.txt` in the folder. `environment` contains all environment
+    variables of the process.
     """
     return _run(_command, [*arguments], folder, environment)
 
 
 def run_program(program: str, folder: Path, environment: Mapping[str, str]) -> tuple[int, str]:
-    """Runs a program in a folder, on its module search path; see `run_command`.
-
-    `environment` is the whole environment.
-    """
+    """Runs Python code in a folder, like `run_command`. The code can import modules there."""
     return _run(_program, program, folder, environment)
 
 
@@ -72,17 +69,15 @@ def start_program(
     *,
     opens_windows: bool = False,
 ) -> Any:
-    """Starts a program in a folder, see `run_program`.
+    """Starts Python code in a folder, like `run_program`; returns its `multiprocessing.Process`.
 
     Args:
-        program: Python.
-        folder: where it runs.
-        environment: its whole environment.
-        streams: what is its standard input (0), output (1) and error (2), by file descriptors.
-        opens_windows: imports everything anew; MuJoCo chooses their OpenGL when it is imported.
-
-    Returns:
-        its `multiprocessing.Process`.
+        program: Python code.
+        folder: working directory.
+        environment: all environment variables of the process.
+        streams: file descriptors for standard input (0), output (1) and error (2).
+        opens_windows: whether the process imports MuJoCo again, which then selects the OpenGL of
+            windows.
     """
     context = multiprocessing.get_context("spawn") if opens_windows else _server()
     return _start(_program, program, folder, environment, streams, context)
@@ -96,20 +91,20 @@ def _start(
     streams: Mapping[int, int],
     context: Any,
 ) -> Any:
-    given = {number: Connection(os.dup(stream)) for number, stream in streams.items()}
+    passed = {number: Connection(os.dup(stream)) for number, stream in streams.items()}
     before = dict(os.environ)
     os.environ.clear()
     os.environ |= {key: value for key, value in environment.items() if key not in UNSET}
-    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for the modules imported beforehand
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # for the preloaded modules
     try:
         process = context.Process(
-            target=_begin, args=(act, what, str(folder), dict(environment), given)
+            target=_begin, args=(act, what, str(folder), dict(environment), passed)
         )
         process.start()
     finally:
         os.environ.clear()
         os.environ |= before
-        for stream in given.values():
+        for stream in passed.values():
             stream.close()
     return process
 
@@ -119,18 +114,18 @@ def _begin(
     what: Any,
     folder: str,
     environment: dict[str, str],
-    given: dict[int, Connection],
+    passed: dict[int, Connection],
 ) -> None:
-    for number, stream in given.items():
+    for number, stream in passed.items():
         os.dup2(stream.fileno(), number)
         stream.close()
-    if 0 in given:
+    if 0 in passed:
         sys.stdin = open(0, closefd=False)  # noqa: SIM115
     os.chdir(folder)
     for key in os.environ.keys() - environment.keys() - {"MUJOCO_GL", "PYOPENGL_PLATFORM"}:
         del os.environ[key]
     os.environ |= environment
-    sys.path[:0] = [folder]  # possibly with packages
+    sys.path[:0] = [folder]  # tests write modules there
     try:
         act(what)
     finally:

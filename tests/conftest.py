@@ -42,11 +42,11 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.study.engine import available_cpus
 
-# A shell's background job and nohup ignore SIGINT, and so would every program started by a test.
+# Background jobs of a shell and nohup ignore SIGINT, which programs started by tests would inherit.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-# Without deadlines: the duration of an example depends on other load of the machine.
+# There are no deadlines, because the duration of an example depends on other load of the machine.
 for name, examples in {"quarter": 25, "thorough": 100}.items():
     settings.register_profile(name, max_examples=examples, deadline=None)
 settings.load_profile("quarter")
@@ -63,7 +63,7 @@ _PAGES = ("test_web", "test_viewer", "test_notebook", "test_window_start")
 _WINDOWS = ("test_window", "test_overlay_window", "test_steering_window")
 _SCREENS = (*_PAGES, *_WINDOWS)
 _LIVE = (*_SCREENS, "test_docs")
-# These simulate whole runs or start many processes: half of the time of all logic tests.
+# These tests simulate whole runs or start many processes, and take half of the time of logic tests.
 _SLOW = (
     "test_bags", "test_biped", "test_calibrate", "test_camera_motion", "test_cartesian_control",
     "test_compiler", "test_composition", "test_connecting", "test_dlr_models", "test_doors",
@@ -78,14 +78,14 @@ _SLOW = (
     "test_snippet", "test_stable_baselines", "test_torque_loop", "test_trees", "test_trigger",
     "test_zenoh",
 )  # fmt: skip
-# These open the ports of included scenes, so one worker runs them all.
+# These tests open the ports of included scenes, so one worker runs them all.
 _PORTS = (
     "test_cli", "test_docs", "test_fri", "test_mirror", "test_packet_buffer", "test_shm",
     "test_simulate_command", "test_torque_plots", "test_udp", "test_video",
     "test_without_display",
 )  # fmt: skip
 
-# These parse all our files, so one worker runs them.
+# These tests parse all files of the project, so one worker runs them.
 _SYNTAX = ("test_layers", "test_size")
 
 # Processes that pytest and multiprocessing need until the end, by parts of command lines.
@@ -96,12 +96,12 @@ ROOT = Path(__file__).resolve().parent.parent
 
 
 def examples(thorough: int) -> int:
-    """Returns the number of examples of a property test, from that of a thorough run."""
+    """Returns the number of examples of a property test from the number in a thorough run."""
     return max(thorough * settings().max_examples // 100, 5)
 
 
 def sampled(cases: Iterable[Any], kept: int) -> list[Any]:
-    """Returns the cases of a test; all but the first run in thorough runs only.
+    """Returns the cases of a test, of which all but the first only run in thorough runs.
 
     A case is a list if a test has several arguments.
     """
@@ -145,7 +145,7 @@ def raises_with(error: type[Exception] = DeclarationError, /, **values: object) 
 
 
 def _plain(value: Any) -> object:
-    """Returns an array as a list; NaN, which does not equal itself, as a string."""
+    """Converts an array to a list, and NaN, which does not equal itself, to a string."""
     value = value.tolist() if isinstance(value, np.ndarray | np.generic) else value
     return "NaN" if isinstance(value, float) and math.isnan(value) else value
 
@@ -225,7 +225,7 @@ def _inner_cases(items: list[pytest.Item]) -> list[pytest.Item]:
 
 
 def pytest_collection_finish() -> None:
-    # Modules and thousands of tests persist; each garbage collection among them takes 0.15 s.
+    # Modules and thousands of tests persist, so each garbage collection would take 0.15 s.
     gc.collect()
     gc.freeze()
 
@@ -266,7 +266,7 @@ if sys.platform == "linux":
 
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_call() -> Iterator[None]:
-    """Ends the processes that a test has started and left running, also if it fails."""
+    """Ends processes that a test has left running, even if the test fails."""
     before, mark = _starts, f"{os.getpid()}-{time.monotonic_ns()}"
     os.environ[_MARK] = mark
     yield
@@ -289,9 +289,9 @@ _after_giving_back = 0.0  # MB in use
 
 
 def _give_memory_back() -> None:
-    """Returns freed memory of worlds and images to the system if it may be much.
+    """Returns the freed memory of worlds and images to the system if much memory was used.
 
-    Otherwise the C library holds 3 GB after all tests, of which 0.4 GB are in use.
+    Otherwise, the C library holds 3 GB after all tests, of which 0.4 GB are in use.
     """
     global _after_giving_back  # noqa: PLW0603
     if sys.platform == "linux" and _used_memory() > _after_giving_back + 200.0:
@@ -306,7 +306,7 @@ def _used_memory() -> float:
 
 
 class _GroupsByFile(LoadScopeScheduling):
-    # Not marks `xdist_group`: with pytest 9.2 they are ignored (pytest-xdist issue 1386).
+    # Marks `xdist_group` are not used, because pytest 9.2 ignores them (pytest-xdist issue 1386).
     def _split_scope(self, nodeid: str) -> str:
         name = nodeid.partition("::")[0].rpartition("/")[2]
         if name.startswith(_SCREENS):
@@ -319,7 +319,7 @@ class _GroupsByFile(LoadScopeScheduling):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    # A test of a browser or a window waits for it: a quarter of the time both cores were idle.
+    # Tests wait for browsers and windows, so both cores would be idle for a quarter of the time.
     is_all = not config.option.markexpr
     return available_cpus() + is_all
 
@@ -347,7 +347,7 @@ def lwr() -> SerialRobot:
 
 @pytest.fixture(scope="session")
 def lwr_world(lwr: SerialRobot) -> World:
-    """The LWR without a floor; tests make their own data."""
+    """A world with the LWR and without a floor; tests create their own data."""
     return World(Scene(robots=[lwr], floor=False))
 
 

@@ -1,4 +1,4 @@
-"""Shared by the decor tests: a world with everything set, and a view without OpenGL."""
+"""Functions that the decor tests share: a world with all inputs set, and a view without OpenGL."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ GEOM = mujoco.mjtGeom
 
 
 def world_of(**fields: Any) -> World:
-    """Returns a world with one LWR and these fields."""
+    """Returns a world with one LWR, in which `fields` are overridden."""
     return World(Scene(robots=[SerialRobot.from_model("lwr", **fields)], floor=False))
 
 
 def view_at(
     azimuth: float = 0.7, distance: float = 2.5, width: int = 1280, height: int = 800
 ) -> ImageView:
-    """Returns a level view at the middle of a standing LWR."""
+    """Returns a horizontal view of the middle of a standing LWR."""
     forward = np.array([np.cos(azimuth), np.sin(azimuth), 0.0])
     up = np.array([0.0, 0.0, 1.0])
     return ImageView(
@@ -83,21 +83,21 @@ def look(position: Any, at: Any, width: int = 1280, height: int = 800) -> ImageV
 
 
 def turned(axis: Any, angle: float) -> Any:
-    """Returns a rotation (3, 3) by Rodrigues' formula."""
+    """Returns a rotation matrix about an axis by Rodrigues' formula."""
     x, y, z = np.array(axis, float) / np.linalg.norm(axis)
     K = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.eye(3) + np.sin(angle) * K + (1 - np.cos(angle)) * K @ K
 
 
 def rigid(rotation: Any, position: Any) -> Any:
-    """Returns a frame (4, 4)."""
+    """Returns the frame with a rotation and a position."""
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = rotation, position
     return T
 
 
 def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
-    """Returns the rows of items of one kind, or of one such item."""
+    """Returns the rows of all items of one kind, or of one item."""
     these = buffer.kinds[: buffer.count] == kind
     if item is not None:
         these &= buffer.items[: buffer.count] == item
@@ -112,7 +112,7 @@ def rectangle(view: ImageView, row: Any) -> tuple[Any, Any]:
 
 
 def texts_in(view: ImageView, rows: Any, panel: Any) -> list[str]:
-    """Returns the text on one panel, top first."""
+    """Returns the texts on one panel from top to bottom."""
     low, high = rectangle(view, panel)
     found = []
     for row in of_kind(rows, GEOM.mjGEOM_LABEL):
@@ -123,6 +123,6 @@ def texts_in(view: ImageView, rows: Any, panel: Any) -> list[str]:
 
 
 def corner_lines(mirror: Mirror) -> list[str]:
-    """Returns the text of the panel in the upper left corner."""
+    """Returns the text lines of the panel in the upper left corner."""
     panels = Status(mirror.world).panels(mirror.data, Toggles(mirror.world), view_at())
     return [] if panels is None else [text.decode() for text in panels.texts[0]]

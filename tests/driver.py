@@ -13,7 +13,7 @@ from typing import IO, Any, Self
 
 from commands import start_program
 
-# Precedes every program: `answer()` answers pending questions.
+# Code before every program. `answer()` evaluates the received expressions and prints the results.
 _PRELUDE = """
 import json, queue, sys, threading
 import numpy as np
@@ -32,18 +32,20 @@ def answer():
 
 
 class Driver:
-    """A process that says `ready`, then answers every line, a Python expression, with `=` and JSON.
+    """A process that evaluates Python expressions: one line each, answered by `=` and JSON.
+
+    The process first prints `ready`.
 
     Args:
-        program: what it runs; calls `answer()` again and again.
-        arguments: its first argument, as JSON.
-        folder: where it runs.
-        environment: of the process.
-        errors: where its standard error goes; to that of the tests when None.
+        program: Python code, which must call `answer()` regularly.
+        arguments: first argument of the program, as JSON.
+        folder: working directory.
+        environment: environment variables of the process.
+        errors: file for standard error; None for the standard error of the tests.
     """
 
     goodbye = ""  # an expression that closes the window or page
-    patience = 15  # s
+    patience = 15  # timeout of `until`, s
     opens_windows = False
 
     def __init__(
@@ -60,9 +62,9 @@ class Driver:
         streams = {0: its_input, 1: its_output}
         if errors is not None:
             streams[2] = errors.fileno()
-        given = f"import sys\nsys.argv[1:] = [{json.dumps(arguments)!r}]\n"
+        set_arguments = f"import sys\nsys.argv[1:] = [{json.dumps(arguments)!r}]\n"
         self.process = start_program(
-            given + _PRELUDE + program,
+            set_arguments + _PRELUDE + program,
             folder,
             environment,
             streams,
@@ -87,7 +89,7 @@ class Driver:
                 line = self._lines.get(timeout=max(end - time.monotonic(), 0.01))
             except queue.Empty:
                 raise AssertionError(f"no '{start}' within {seconds} s") from None
-            assert line, f"the process ended before it said '{start}'"
+            assert line, f"the process ended before it printed '{start}'"
             if line.startswith(start):
                 return line
 
@@ -98,7 +100,7 @@ class Driver:
         return json.loads(self._expect("=", 20)[1:])
 
     def until(self, expression: str) -> Any:
-        """Waits until an expression is true, and returns it."""
+        """Waits until an expression is true, and returns its value."""
         end = time.monotonic() + self.patience
         while True:
             found = self.ask(expression)

@@ -31,10 +31,10 @@ _SETTINGS = {
 
 
 class Firefox:
-    """A page in Firefox of a size in pixels.
+    """A page in Firefox with a size in pixels.
 
     Attributes:
-        faults: errors of the page.
+        faults: errors that the page has reported.
     """
 
     def __init__(self, size: tuple[int, int] = (900, 640)) -> None:

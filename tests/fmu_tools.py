@@ -1,4 +1,4 @@
-"""Functional Mock-up Units from C, of FMI 2 and 3."""
+"""Compiles Functional Mock-up Units of FMI 2 and 3 from C code."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SOURCES = Path(__file__).with_name("fmu")
 
 
 def variables_2(names: list[str]) -> str:
-    """Returns elements of vectors, named as by most tools of FMI 2."""
+    """Returns the FMI 2 variables of vector elements, which are named as by most tools."""
     rows = [
         f'<ScalarVariable name="{name}" valueReference="{k}" causality="parameter" '
         f'variability="tunable" initial="exact"><Real start="{start}"/></ScalarVariable>'
@@ -41,7 +41,7 @@ def variables_2(names: list[str]) -> str:
 
 
 def variables_3(names: list[str]) -> str:
-    """Returns vectors, which FMI 3 has."""
+    """Returns the FMI 3 variables, which can be vectors."""
     rows = [
         '<Float64 name="time" valueReference="999" causality="independent"/>',
         '<Float64 name="stiffness" valueReference="0" causality="parameter" '
@@ -66,7 +66,7 @@ def variables_3(names: list[str]) -> str:
 
 
 def write_fmu(folder: Path, version: int, names: list[str] | None = None, name: str = "") -> str:
-    """Compiles a unit and returns its file name."""
+    """Compiles a Functional Mock-up Unit and returns its file name."""
     fmpy = pytest.importorskip("fmpy")
     if shutil.which("cc") is None:
         pytest.skip("needs a C compiler")

@@ -46,7 +46,7 @@ JACO_TORQUES = (12, -25, 14, -3, 2, -2, 0.3, 0.3, 0.3)
 
 
 def compiled(xml: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Returns a model and its data, forwarded."""
+    """Returns a model and its data after `mj_forward`."""
     model = mujoco.MjModel.from_xml_string(xml)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
@@ -54,7 +54,7 @@ def compiled(xml: str) -> tuple[mujoco.MjModel, mujoco.MjData]:
 
 
 def arm(**qpos: float) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Returns the small arm with its joints at these angles and its motors on."""
+    """Returns the small arm with joint angles and active motors."""
     model, data = compiled(ARM)
     for joint, value in qpos.items():
         data.joint(joint).qpos = value
@@ -79,7 +79,7 @@ def _jaco_xml(count: int) -> tuple[str, Any]:
 
 
 def jaco(count: int = 1) -> tuple[mujoco.MjModel, mujoco.MjData]:
-    """Returns Kinova's Jaco arms with hands, in a pose in which all of one is visible."""
+    """Returns Kinova Jaco arms with hands, in a pose in which all parts are visible."""
     model = mujoco.MjModel.from_xml_string(*_jaco_xml(count))
     data = mujoco.MjData(model)
     data.qpos[:] = np.tile(JACO_POSE, count)

@@ -1,9 +1,8 @@
-"""A server of `foxglove-sdk`, as foxglove_bridge is one: `python foxglove_peer.py PORT`.
+"""A server of `foxglove-sdk` that behaves like foxglove_bridge: `python foxglove_peer.py PORT`.
 
-A line of JSON in, a line out: `topic`, `kind`, `encoding` open a channel; with `wait` it waits
-until somebody has subscribed to it; `data` (hexadecimal) publishes; `close` withdraws it; with
-`rate` it publishes `count` messages whose stamp, 8 bytes at 4 of `data`, is the time at which they
-are sent.
+The server answers each line of JSON with a line. `topic`, `kind` and `encoding` open a channel.
+`wait` waits until there is a subscriber. `data` (hexadecimal) publishes a message. `close` closes
+the channel. `rate` publishes `count` messages with their send time in bytes 4 to 11 of `data`.
 """
 
 from __future__ import annotations
@@ -20,7 +19,7 @@ from foxglove.websocket import ServerListener
 
 
 class Subscriptions(ServerListener):
-    """Channels to which clients have subscribed; one that is closed may end its late."""
+    """The channels to which clients have subscribed; unsubscriptions may arrive late."""
 
     def __init__(self) -> None:
         self.channels: set[int] = set()

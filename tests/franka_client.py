@@ -1,6 +1,6 @@
-"""A client of Franka's FCI that commands, by raw sockets from libfranka-common's headers.
+"""A commanding client of Franka's FCI, written with sockets from the headers of libfranka-common.
 
-`python tests/franka_client.py PORT MODE VERSION FILE`; what it has seen goes to FILE as JSON.
+`python tests/franka_client.py PORT MODE VERSION FILE` writes its observations to FILE as JSON.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ class Client:
 
 
 def impedance(client: Client, cycles: int, amplitude: float = 0.2, hook=lambda k: True) -> int:
-    """Follows a cosine by torques and returns the status of the answer to Move."""
+    """Follows a cosine by commanding torques; returns the status of the answer to Move."""
     number, status = client.move(TORQUES)
     assert status == 1, status
     state = client.read()
@@ -133,7 +133,7 @@ def impedance(client: Client, cycles: int, amplitude: float = 0.2, hook=lambda k
             k_ * (g - q) - d * dq
             for k_, d, g, q, dq in zip(K, D, goal, state.q, state.dq, strict=True)
         ]
-        # Limited as in libfranka, so that it can begin while the robot moves.
+        # The rate is limited as in libfranka, so that the motion can begin while the robot moves.
         tau = [d + max(-0.99, min(0.99, t - d)) for t, d in zip(tau, state.tau_J_d, strict=True)]
         if hook(k):
             client.send(state, tau=tau, last=k == cycles - 1)
@@ -147,7 +147,7 @@ def finish(client: Client, number: int) -> int:
 
 
 def bad_motion(client: Client, modes: tuple[int, int], value) -> tuple[int, Any]:
-    """Commands what `value` says until the motion ends; its status, and the state after it."""
+    """Commands `value` until the motion ends; returns its status and the next state."""
     number, status = client.move(modes)
     assert status == 1, status
     client.read()
@@ -245,7 +245,7 @@ def greet(port: int) -> list[int]:
 
 
 def follow(client: Client, modes: tuple[int, int], value, found: dict[str, Any]) -> None:
-    """Commands 500 times `value` of the first state and the share of time, and finishes."""
+    """Sends 500 commands, `value` of the first state and the share of time, and then finishes."""
     number, found["begun"] = client.move(modes)
     first = client.read()
     for k in range(500):

@@ -1,7 +1,7 @@
-"""A Franka robot on FCI, as far as a client that only reads needs it.
+"""A simulated Franka robot with the part of FCI that reading clients need.
 
-Made with `ctypes` from libfranka-common's headers. `python tests/franka_server.py` plays a moving
-one.
+It uses `ctypes` structures from the headers of libfranka-common. `python tests/franka_server.py`
+runs a moving robot.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from typing import Any
 
 
 def _state_type(version: int) -> type[ctypes.LittleEndianStructure]:
-    """Returns `RobotState` of a version: the order of rbk_types.h, packed."""
+    """Returns the packed type `RobotState` of a version, in the order of rbk_types.h."""
     real = ctypes.c_float if version >= 10 else ctypes.c_double
     flags = ctypes.c_bool * (41 if version >= 5 else 37)
     named: list[tuple[str, Any]] = [("message_id", ctypes.c_uint64)]
@@ -75,20 +75,20 @@ def answer(status: int = 0, version: int = 10, command: int = 0, number: int = 1
 
 
 class FrankaServer:
-    """Accepts one client after the other, answers its question, and sends states when told to.
+    """A server that accepts one client at a time, answers its request, and sends states.
 
     Args:
-        version: of the server; others are refused, as the robot does it.
-        answers: what is answered, one after the other, instead; then the connection is closed if it
-            is empty, else kept.
-        host: to listen on.
-        port: likewise; 0 for any.
+        version: version of the server; like the robot, it rejects other versions.
+        answers: answers to successive requests instead of the correct one. After an empty answer,
+            the connection is closed.
+        host: address to listen on.
+        port: port to listen on; 0 for any port.
 
     Attributes:
-        asked: bytes that came, of each client.
+        asked: bytes that each client has sent.
         connections: number of clients so far.
-        started: set while a client waits for states.
-        on_start: called when one begins to wait.
+        started: event that is set while a client waits for states.
+        on_start: function that is called when a client begins to wait.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ class FrankaServer:
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)  # which ends `accept`
+            self._listening.shutdown(socket.SHUT_RDWR)  # ends `accept`
         self._listening.close()
         self.drop()
         self._thread.join(5.0)
@@ -134,18 +134,18 @@ class FrankaServer:
                 client.shutdown(socket.SHUT_RDWR)
 
     def say(self, text: bytes) -> None:
-        """Sends by TCP to a client that has started."""
+        """Sends bytes over TCP to a client that waits for states."""
         assert self.started.wait(5.0) and self._client is not None
         self._client.sendall(text)
 
     def send(self, *datagrams: bytes) -> None:
-        """Sends datagrams to a client that has started."""
+        """Sends datagrams to a client that waits for states."""
         assert self.started.wait(5.0)
         for datagram in datagrams:
             self._states.sendto(datagram, self.to)
 
     def state(self, **values: Any) -> bytes:
-        """Returns the next state of this version."""
+        """Returns the next state in the version of the server."""
         self._count += 1
         return state(self.version, **{"message_id": self._count, **values})
 

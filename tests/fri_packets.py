@@ -1,4 +1,4 @@
-"""Measurement packets made with `struct` alone, with the sizes of the interface."""
+"""Measurement packets of FRI, encoded with `struct`."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ UPRIGHT = [1, 0, 0, 0.1, 0, 1, 0, 0.2, 0, 0, 1, 0.3]  # 3 x 4, row-major
 
 
 def measurement(counter: int = 0, **fields: Any) -> bytes:
-    """Returns a packet of an idle robot with these fields set to encoded values."""
+    """Returns a packet of an idle robot, in which `fields` are set to encoded values."""
     packet = bytearray(struct.calcsize(FORMAT))
     given = {"send_counter": counter, "packet_size": 916, "datagram_id": 0x2006, "state": 1}
     given |= {"quality": 3, "flange_frame": UPRIGHT, **fields}
@@ -68,7 +68,7 @@ def measurement(counter: int = 0, **fields: Any) -> bytes:
 
 
 def give(receiver: FriReceiver, controller: socket.socket, *packets: bytes) -> None:
-    """Sends packets and waits until the last of them has been processed."""
+    """Sends packets to a receiver and waits until the last packet has been processed."""
     before = receiver.counters.received
     for packet in packets:
         controller.sendto(packet, ("127.0.0.1", receiver.port))

@@ -1,4 +1,4 @@
-"""Attacks the structure language and the packets' way in with atheris, guided by coverage.
+"""Fuzzes the structure language and the reception of packets with atheris, guided by coverage.
 
 pip install atheris
 SERO_MJ_ATHERIS=1000000 pytest tests/test_hostile_packets.py -k atheris
@@ -23,7 +23,7 @@ FIXED = Structure(TEXT)
 
 
 def attack(data: bytes) -> None:
-    """Runs one input: a structure string and packets for it, or packets for the fixed structure."""
+    """Tests one input: a structure and packets for it, or packets for the fixed structure."""
     provider = atheris.FuzzedDataProvider(data)
     if provider.ConsumeBool():
         packets = [provider.ConsumeBytes(216) for _ in range(3)]

@@ -1,4 +1,4 @@
-"""A humanoid of 62 joints: two legs, a torso, a neck, two arms with hands of five fingers."""
+"""A humanoid with 62 joints: two legs, a torso, a neck, and two arms with five-fingered hands."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def _capsule(end: np.ndarray, radius: float) -> dict[str, Any]:
 
 
 def humanoid(name: str = "human", *, fingers: bool = True, **fields: Any) -> SerialRobot:
-    """Returns the robot; without fingers it has 32 joints. Its base is the pelvis."""
+    """Returns the humanoid, with 32 joints if `fingers` is false. Its base is the pelvis."""
     names: list[str] = []
     parents: list[str] = []
     frames: list[np.ndarray] = []

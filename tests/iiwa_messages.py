@@ -1,4 +1,4 @@
-"""Monitoring messages of an iiwa, encoded by Google's Protocol Buffers, not by us.
+"""Messages of an iiwa, encoded by Google's Protocol Buffers, independently of sero-mj.
 
 Fields and their numbers are those of KUKA's FRI client SDKs 1.11 to 2.7.
 """
@@ -11,7 +11,7 @@ from typing import Any
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
-# Message to its fields: name, number, type; `*` marks a repeated one.
+# Fields of each message: name, number and type. `*` marks a repeated field.
 MESSAGES = {
     "JointValues": [("*value", 1, "double")],
     "CartesianVector": [("*element", 1, "double")],
@@ -75,12 +75,12 @@ _CLASSES = _make()
 
 
 def values(*numbers: float) -> dict[str, Any]:
-    """Returns a list of joint values."""
+    """Returns a message part with joint values."""
     return {"value": numbers}
 
 
 def monitoring(counter: int = 1, **parts: dict[str, Any]) -> bytes:
-    """Returns a message of a monitoring controller with other values in its parts."""
+    """Returns a monitoring message of a controller; `parts` override the default values."""
     q = [0.1, -0.2, 0.3, -0.4, 0.5, -0.6, 0.7]
     all_parts: dict[str, dict[str, Any]] = {
         "header": {
@@ -127,7 +127,7 @@ def read_monitoring(packet: bytes) -> Any:
 
 
 def command(counter: int, reflected: int, **data: Any) -> bytes:
-    """Returns a client's message."""
+    """Returns a command message of a client."""
     header = {
         "messageIdentifier": 0x34001,
         "sequenceCounter": counter,

@@ -24,12 +24,12 @@ NO_SKY = (0, 0, 0)  # color of uncovered pixels
 def captured(
     model: mujoco.MjModel, states: Sequence[mujoco.MjData], camera: str, fps: float = 10.0
 ) -> CapturedRun:
-    """A capture of a model in these states, without decor.
+    """Returns a captured run of a model in these states, without decor.
 
     Args:
-        model: compiled.
-        states: one a frame, forwarded.
-        camera: see `find_camera`.
+        model: compiled model.
+        states: data of each frame, after `mj_forward`.
+        camera: camera as in `find_camera`.
         fps: frames per second.
     """
     world = World(Scene(floor=False))  # without joints and decor
@@ -66,7 +66,7 @@ def rolled_out(model: mujoco.MjModel, frames: int, steps: int) -> list[mujoco.Mj
 def classic(
     model: mujoco.MjModel, data: mujoco.MjData, camera: Any, size: tuple[int, int]
 ) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Returns an image (h, w, 3) and where the model covers it (h, w)."""
+    """Returns an image, shape (h, w, 3), and a mask of the model's pixels, shape (h, w)."""
     with mujoco.Renderer(model, size[1], size[0]) as renderer:
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = 0
         renderer.scene.flags[mujoco.mjtRndFlag.mjRND_REFLECTION] = 0
@@ -78,7 +78,7 @@ def classic(
     return picture, covered
 
 
-# The image alone at some size, as digits of red, green, blue and alpha.
+# Returns the image without the page at some size, as digits of red, green, blue and alpha.
 DRAWN = """([width, height, time, hidden, hasShadows]) => {
     const { stage } = player;
     player.recording.seek(time);
@@ -107,7 +107,7 @@ def drawn(
     *,
     shadows: bool = False,
 ) -> Any:
-    """Returns the canvas of a page at a time (s), (h, w, 4) uint8."""
+    """Returns the canvas of a page at a time (s), shape (h, w, 4), uint8."""
     import base64
 
     text = page.evaluate(DRAWN, [*size, time, list(hidden), shadows])
@@ -116,11 +116,11 @@ def drawn(
 
 
 def overlap(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> float:
-    """Returns the pixels covered by both divided by those covered by any."""
+    """Returns the number of pixels in both masks, divided by the number in any mask."""
     return float((one & other).sum() / max((one | other).sum(), 1))
 
 
 def page_of(found: CapturedRun, path: Path) -> Path:
-    """Writes a page and returns its path."""
+    """Writes a page of a captured run and returns its path."""
     write_page(found, path, path.stem)
     return path

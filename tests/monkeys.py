@@ -1,6 +1,6 @@
-"""Random events for windows and pages: what nobody would try on purpose, and as it was, by a seed.
+"""Random events for windows and pages, reproducible by a seed.
 
-`Monkey` decides what is done, and is the same for both; a hand does it.
+`Monkey` generates the events for both. `WindowHand` and `PageHand` perform them.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ _EVERY = [*KEYS, *VIEWER_KEYS, *MORE_KEYS, *tool_keys()]
 _CHARACTERS = [key for key in _EVERY if len(key) == 1]
 _NAMED = [*(key for key in _EVERY if len(key) > 1 and "+" not in key), "up", "down", "enter",
           "delete", "escape"]  # fmt: skip
-_LETTERS = "zyca"  # with Control
+_LETTERS = "zyca"  # keys that are pressed together with Control
 _MODS: Sequence[frozenset[str]] = [frozenset(), frozenset(), frozenset(), frozenset([SHIFT]),
                                    frozenset([CONTROL]), frozenset([SHIFT, CONTROL])]  # fmt: skip
 _NONE = _MODS[0]
@@ -27,19 +27,19 @@ _SIZES = [(1, 1), (2, 1), (1, 2), (2, 2), (3, 300), (400, 2), (40, 30), (120, 90
           (400, 200), (400, 300), (400, 300), (400, 300)]  # fmt: skip
 _TEXTS = ["0", "-1.5", "1e9", "nan", "1e999", "-", "0,1,2", "x" * 30, "é😀", "9" * 20]
 
-Event = tuple[Any, ...]  # the name of what a hand does, and how
+Event = tuple[Any, ...]  # the name of an event, and its arguments
 
 
 class Monkey:
-    """Events without an end.
+    """A generator of endless random events.
 
     Args:
-        seed: of them.
+        seed: seed of the events.
 
     Attributes:
-        size: of the window or page, pixels.
-        places: of widgets by their labels: left, top, right, bottom.
-        last: the last events, for who looks for a fault.
+        size: width and height of the window or page, pixels.
+        places: rectangles of widgets by label: left, top, right, bottom, pixels.
+        last: last events, for debugging.
     """
 
     def __init__(self, seed: int) -> None:
@@ -54,7 +54,7 @@ class Monkey:
         }  # fmt: skip
 
     def events(self) -> Iterator[Event | None]:
-        """Yields events, and None if the following ones are for the next frame."""
+        """Yields events, and None before events that belong to the next frame."""
         acts, weights = list(self._acts), list(self._acts.values())
         while True:
             for event in self._random.choices(acts, weights)[0]():
@@ -106,7 +106,7 @@ class Monkey:
             at = self._place()
             yield "move", *at
             yield None
-        if self._random.random() < 0.9:  # else it is let go of where nobody sees it
+        if self._random.random() < 0.9:  # otherwise, there is no release event
             yield "button", *at, button, False, mods
 
     def _wheel(self) -> Iterator[Event | None]:
@@ -134,12 +134,12 @@ class Monkey:
 
 
 class WindowHand:
-    """Controls a window from within its process, through GLFW callbacks.
+    """A hand that controls a window of the same process through GLFW callbacks.
 
     Args:
-        window: a `Window`.
-        places: of the widgets of its panel; see `Monkey`.
-        seed: of the events.
+        window: window to control.
+        places: rectangles of the widgets of the panel, as in `Monkey`.
+        seed: seed of the events.
     """
 
     def __init__(self, window: Any, places: Mapping[str, Sequence[float]], seed: int) -> None:
@@ -205,23 +205,23 @@ class WindowHand:
 
 
 class PageHand:
-    """Works a page in a browser: presses, sizes and texts are the browser's own.
+    """A hand that controls a page in a browser.
 
-    To others it would answer with its next frame, later each, so keys and motions come from within
-    the page, several at once.
+    The browser performs clicks, changes of size, and text input. Other events are dispatched by
+    JavaScript, several at once, because the browser would delay each of them to the next frame.
 
     Args:
-        page: Playwright's.
+        page: page of Playwright.
     """
 
     def __init__(self, page: Any) -> None:
         self._page = page
         self._line = page.context.new_cdp_session(page)
-        # Events that arrive with one frame each: class, kind and details.
+        # Events for each of the next frames: class, kind and details.
         self._waiting: list[list[tuple[str, str, dict[str, Any]]]] = [[]]
 
     def do(self, event: Event) -> None:
-        """Sends one event, or stores it for the next one that is the browser's own."""
+        """Performs an event, or stores it until the browser performs the next event."""
         name, *how = event
         if name in ("button", "resize", "text"):
             self.flush()

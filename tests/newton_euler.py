@@ -1,6 +1,6 @@
-"""Recursive Newton-Euler on a DH table in NumPy, to check MuJoCo's results.
+"""The recursive Newton-Euler algorithm for a DH table in NumPy, to check results of MuJoCo.
 
-Source: Craig, Introduction to Robotics, section 6.5, here with all vectors in the base frame.
+Source: Craig, Introduction to Robotics, section 6.5. Here, all vectors are in the base frame.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ def inverse_dynamics(
     forces, moments, centers = [], [], []
     for i in range(n):
         z, R = axes[i], T[i + 1, :3, :3]
-        # The axis moves with the previous link; its foot is where the joint acts.
+        # The axis moves with the previous link. The joint acts at the foot of the axis.
         arm = points[i] - origin
         acceleration = acceleration + np.cross(alpha, arm) + np.cross(omega, np.cross(omega, arm))
         velocity = velocity + np.cross(omega, arm)

@@ -1,4 +1,4 @@
-"""A slow reference for packets, and packets that are malformed in many ways."""
+"""A slow reference implementation for checking packets, and a generator of malformed packets."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def bad_packet(random: np.random.Generator, number: int) -> bytes:
 
 
 def cause(packet: bytes) -> str:
-    """Returns why a packet must not be applied, as a counter's name; empty for a valid one."""
+    """Returns the name of the counter that must reject a packet, or "" for a valid packet."""
     if len(packet) != FORMAT.size:
         return "wrong_size"
     numbers = FORMAT.unpack(packet)
@@ -87,7 +87,7 @@ def _is_frame(numbers: tuple[float, ...]) -> bool:
 
 
 def values_of(packet: bytes) -> dict[str, list[float]]:
-    """Returns the values of a valid packet, flat."""
+    """Returns the values of a valid packet as flat lists by event."""
     numbers = FORMAT.unpack(packet)
     frame = [numbers[13 + 4 * column + row] for row in range(4) for column in range(4)]
     return {

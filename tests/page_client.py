@@ -1,4 +1,4 @@
-"""Reads a page of this process like a browser, without one: receives sections, sends messages."""
+"""A client that communicates with a page of this process like a browser."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PATIENCE = 400  # frames
 
 
 def read_sections(message: bytes) -> dict[str, Any]:
-    """Returns the sections of a message as the page's script reads them: values or bytes."""
+    """Returns the sections of a message, values or bytes, as read by the script of the page."""
     (length,) = struct.unpack_from("<I", message)
     head = json.loads(message[4 : 4 + length])
     assert (4 + length) % 4 == 0
@@ -33,17 +33,17 @@ def read_sections(message: bytes) -> dict[str, Any]:
 
 
 class PageClient:
-    """A connection to a page whose frames the test shows.
+    """A connection to a page, whose frames are shown by the test.
 
     Args:
-        page: of this process.
-        answers: whether it answers messages, as browsers do.
-        **options: of `websockets.sync.client.connect`.
+        page: page of this process.
+        answers: whether to confirm messages like a browser.
+        **options: options of `websockets.sync.client.connect`.
 
     Attributes:
-        state: the sections that came.
-        events: the events that came.
-        messages: how many messages came, and how many bytes they had.
+        state: received sections.
+        events: received events.
+        messages: number and total size in bytes of received messages.
     """
 
     def __init__(self, page: WebHost, *, answers: bool = True, **options: Any) -> None:
@@ -98,7 +98,7 @@ class PageClient:
             self.point(kind, x, y, **how)
 
     def widget(self, tree: str, label: str) -> dict[str, Any]:
-        """Returns a node of a tree by its text, else its id."""
+        """Returns a node of a tree by its text or its id."""
         found: list[dict[str, Any]] = []
 
         def look(nodes: list[dict[str, Any]]) -> None:
@@ -115,7 +115,7 @@ class PageClient:
         return found[0]
 
     def close(self) -> None:
-        """Leaves the page."""
+        """Closes the connection to the page."""
         self._stack.close()
 
     def __enter__(self) -> Self:

@@ -1,4 +1,4 @@
-"""Cameras and synthetic photos: a robot seen by a known camera with a lens."""
+"""Synthetic photos of robots, by known cameras with a lens distortion."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def lwr(**fields: Any) -> SerialRobot:
 
 
 def looking(at: Array, forward: Array, distance: float) -> Array:
-    """Returns T_world_camera (4, 4) of a camera that looks at a point; x to the right, y down."""
+    """Returns T_world_camera of a camera that looks at a point, with x to the right and y down."""
     z = np.asarray(forward, float) / np.linalg.norm(forward)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -46,7 +46,7 @@ def camera(lens: str = "barrel", size: tuple[int, int] = (640, 400)) -> PhotoCam
 
 
 def photo(world: World, data: mujoco.MjData, by: PhotoCamera) -> Array:
-    """Returns a photo of a scene: rendered, then distorted by OpenCV like the lens does."""
+    """Returns a photo of a scene: a rendered image to which OpenCV adds the lens distortion."""
     plane = PlaneImage(by, (4096, 4096))
     renderer = make_renderer(world, *plane.size, is_draft=False)
     try:

@@ -1,4 +1,4 @@
-"""Waiting for another thread or process."""
+"""Waits for other threads or processes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 
 def until(condition: Callable[[], object], seconds: float = 5.0) -> bool:
-    """Polls until the condition holds, and returns whether it held in time."""
+    """Polls a condition until it holds; returns whether it held within `seconds`."""
     deadline = time.monotonic() + seconds
     while not condition():
         if time.monotonic() > deadline:

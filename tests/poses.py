@@ -8,7 +8,7 @@ import numpy as np
 
 
 def rot(axis: int, angle: float) -> np.ndarray:
-    """Returns a rotation about x, y or z (0, 1, 2), rad, as a frame (4, 4)."""
+    """Returns a rotation by an angle (rad) about x, y or z (0, 1, 2) as a frame."""
     turn = np.eye(4)
     c, s = math.cos(angle), math.sin(angle)
     a, b = (axis + 1) % 3, (axis + 2) % 3
@@ -17,7 +17,7 @@ def rot(axis: int, angle: float) -> np.ndarray:
 
 
 def move(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
-    """Returns a translation, m, as a frame (4, 4)."""
+    """Returns a translation (m) as a frame."""
     T = np.eye(4)
     T[:3, 3] = x, y, z
     return T

@@ -19,7 +19,8 @@ from sero_mj.data.record.recording_writer import RecordingWriter
 EVENTS = {"values0": (2,), "vectors0": (1, 3), "matrices0": (1, 4, 4)}
 DECLARED = {"port": 32000, "structure": "2F1V1M", "double": True}
 LAYOUT = Structure("2F1V1M")
-# A recording of `moving` packets, replayed: `file` is its path, `more` further declarations.
+# A scene that replays a recording of `moving` packets. `file` is the path of the recording, and
+# `more` contains further declarations.
 SCENE = """
 [robots.two]
 dh_convention = "craig"
@@ -54,7 +55,7 @@ def record(
     for i, packet in enumerate(packets):
         writer.write_raw("arm", packet, (start + i * 100_000_000) / 1e9)
     writer.flush()
-    if not close:  # as its process leaves it when killed
+    if not close:  # as after a kill of the recording process
         copy(live, path)
     writer.close()
     if close:
@@ -79,7 +80,7 @@ def moving(count: int) -> list[bytes]:
 
 
 def signals_in(path: Path, topic: str) -> tuple[Channel, Schema, dict[int, dict[str, Any]]]:
-    """A channel of ROS, its schema, and its messages by number, decoded by a package for ROS."""
+    """Returns a ROS channel, its schema, and its messages by number, decoded by a ROS package."""
     with open(path, "rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
         found = list(reader.iter_decoded_messages(topics=[topic]))

@@ -1,9 +1,10 @@
-"""A publisher of ROS 2's topics in a process of its own, by types that are written out here.
+"""A publisher of ROS 2 topics in a separate process, with its own definitions of message types.
 
-Takes a line of JSON for each action: `{"match": TOPIC, "kind": TYPE}` to wait for a reader,
-`{"write": TOPIC, "message": {...}}`, `{"leave": TOPIC}`; says `done` after each. `"as": NAME` tells
-several publishers of a topic apart. They are reliable, and transient local if their names say so.
-Arguments are the domain and, if given, the time (s) after which others miss it once it is killed.
+It reads a line of JSON for each action, and prints `done` after each action. The actions are
+`{"match": TOPIC, "kind": TYPE}`, which waits for a reader, `{"write": TOPIC, "message": {...}}` and
+`{"leave": TOPIC}`. `"as": NAME` distinguishes several publishers of a topic. Publishers are
+reliable, and transient local for topics with a description or static transforms. Arguments are the
+domain and optionally the time (s) after which other participants detect a kill.
 """
 
 # No `from __future__ import annotations`: Cyclone DDS reads the annotations.
@@ -137,7 +138,7 @@ class String(IdlStruct, typename="std_msgs::msg::dds_::String_"):
 
 
 def made(kind: Any, values: Any) -> Any:
-    """Returns a message of a type from JSON: missing numbers are 0, missing lists empty."""
+    """Returns a message of a type from JSON. Missing numbers are 0, and missing lists are empty."""
     if kind is TFMessage:
         return TFMessage([made(TransformStamped, each) for each in values["transforms"]])
     if not (isinstance(kind, type) and issubclass(kind, IdlStruct)):
@@ -163,28 +164,28 @@ def main() -> None:
     kinds: dict[str, Any] = {}
     print("done", flush=True)
     for line in sys.stdin:
-        said = json.loads(line)
-        topic = next(said[key] for key in ("write", "match", "leave") if key in said)
-        name = said.get("as", topic)
-        if "kind" in said:
-            kinds[name] = globals()[said["kind"]]
-        if name not in writers and "leave" not in said:
+        action = json.loads(line)
+        topic = next(action[key] for key in ("write", "match", "leave") if key in action)
+        name = action.get("as", topic)
+        if "kind" in action:
+            kinds[name] = globals()[action["kind"]]
+        if name not in writers and "leave" not in action:
             is_kept = "description" in topic or "static" in topic
             reliable = Policy.Reliability.Reliable(duration(seconds=1))
             qos = Qos(
-                Policy.Reliability.BestEffort if said.get("best_effort") else reliable,
+                Policy.Reliability.BestEffort if action.get("best_effort") else reliable,
                 Policy.Durability.TransientLocal if is_kept else Policy.Durability.Volatile,
                 Policy.History.KeepLast(10),
             )
             made_topic = Topic(participant, f"rt{topic}", kinds[name])
             writers[name] = DataWriter(participant, made_topic, qos=qos)
-        if "match" in said:
+        if "match" in action:
             while not writers[name].get_matched_subscriptions():
                 time.sleep(0.01)
-        elif "leave" in said:
+        elif "leave" in action:
             del writers[name]
         else:
-            message = made(kinds[name], said.get("message", {}))
+            message = made(kinds[name], action.get("message", {}))
             writers[name].write(message)
         print("done", flush=True)
     del domain

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 in CDR, as `rosbags` makes them, and processes that publish them."""
+"""ROS 2 messages in CDR, encoded by `rosbags`, and processes that publish them."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def text(said: str) -> bytes:
 
 
 def transform(parent: str, child: str, position: Sequence[float]) -> bytes:
-    """Returns a message of frames without rotation."""
+    """Returns a message with a transform without rotation."""
     vector = STORE.types["geometry_msgs/msg/Vector3"](*map(float, position))
     rotation = STORE.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, 0.0, 1.0)
     pose = STORE.types["geometry_msgs/msg/Transform"](translation=vector, rotation=rotation)
@@ -61,12 +61,12 @@ def transform(parent: str, child: str, position: Sequence[float]) -> bytes:
 
 
 class Peer:
-    """A script of `tests/` in another process, which takes and gives a line for each command.
+    """A script of `tests/` in another process, which answers each command with a line.
 
     Args:
-        script: name of its file.
-        port: on which it listens, on this machine alone.
-        arguments: more of them.
+        script: file name of the script.
+        port: local port on which the script listens.
+        arguments: further arguments of the script.
     """
 
     def __init__(self, script: str, port: int, *arguments: str) -> None:
@@ -87,7 +87,7 @@ class Peer:
         self._process.communicate()
 
     def do(self, **command: Any) -> str:
-        """Sends a command and returns the peer's answer when it is done."""
+        """Sends a command, waits until it is done, and returns the answer."""
         assert self._process.stdin is not None
         for key, value in command.items():
             command[key] = value.hex() if isinstance(value, bytes) else value

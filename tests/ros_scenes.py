@@ -1,4 +1,4 @@
-"""Shared by the tests of foxglove and zenoh."""
+"""Functions that the tests of foxglove and zenoh share."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def assert_refused(kind: str, fields: dict[str, Any], key: str, reason: str) -> 
 def mirrored_recorded_and_replayed(
     text: str, folder: Path, wait: Callable[[], bool], send: Callable[[Any, bytes], None]
 ) -> Source:
-    """Checks that a recording shows the same as its scene; `send` sends two packets."""
+    """Checks that a recording shows the same values as its scene; `send` sends two packets."""
     file, recording = folder / "arm.toml", folder / "arm.mcap"
     file.write_text(text)
     scene = load_scene(file)

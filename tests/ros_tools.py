@@ -1,4 +1,4 @@
-"""Messages of ROS, bags with them, and publishers in separate processes."""
+"""ROS messages, bags with messages, and publishers in separate processes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from sero_mj.base.frames import quat_from_rotation
 STORE = get_typestore(Stores.ROS2_HUMBLE)
 OLD_STORE = get_typestore(Stores.ROS1_NOETIC)
 JOINT_STATE = "sensor_msgs/msg/JointState"
-BEGIN = 1_700_000_000 * 10**9  # ns since the epoch
+BEGIN = 1_700_000_000 * 10**9  # Unix time at which bags begin, ns
 
 
 def joint_state(
@@ -35,7 +35,7 @@ def joint_state(
     stamp: int = 0,
     store: Any = STORE,
 ) -> Any:
-    """Returns a message of joints; the stamp is in ns."""
+    """Returns a joint state message; the stamp is in ns."""
     types = store.types
     time = types["builtin_interfaces/msg/Time"](stamp // 10**9, stamp % 10**9)
     order = ((0,) if store is OLD_STORE else ()) + (time, "")
@@ -58,7 +58,7 @@ def _pose(T: Any, kind: str = "Pose", vector: str = "Point") -> Any:
 
 
 def transforms(edges: Sequence[tuple[str, str, Any]], stamp: int = 0) -> Any:
-    """Returns a message of transforms: parent, child, T_parent_child (4, 4); stamp in ns."""
+    """Returns a message with transforms (parent, child, T_parent_child); the stamp is in ns."""
     types = STORE.types
     each = [
         types["geometry_msgs/msg/TransformStamped"](
@@ -70,7 +70,7 @@ def transforms(edges: Sequence[tuple[str, str, Any]], stamp: int = 0) -> Any:
 
 
 def odometry(T: Any, child: str, velocity: Sequence[float] = (0, 0, 0), stamp: int = 0) -> Any:
-    """Returns a message of odometry with a pose (4, 4) in the frame `odom`; the stamp is in ns."""
+    """Returns an odometry message with a pose in the frame `odom`; the stamp is in ns."""
     types, vector = STORE.types, STORE.types["geometry_msgs/msg/Vector3"]
     twist = types["geometry_msgs/msg/Twist"](vector(*map(float, velocity)), vector(0.1, 0.2, 0.3))
     return types["nav_msgs/msg/Odometry"](
@@ -82,7 +82,7 @@ def odometry(T: Any, child: str, velocity: Sequence[float] = (0, 0, 0), stamp: i
 
 
 def pose_stamped(T: Any, stamp: int = 0) -> Any:
-    """Returns a message of a pose (4, 4); the stamp is in ns."""
+    """Returns a message with a pose; the stamp is in ns."""
     return STORE.types["geometry_msgs/msg/PoseStamped"](_header(stamp, "map"), _pose(T))
 
 
@@ -92,11 +92,11 @@ def encoded(message: Any) -> bytes:
 
 
 def write_bag(path: Path, topics: dict[str, list[tuple[int, Any]]], kind: str = "mcap") -> Path:
-    """Writes a bag, and returns what opens it.
+    """Writes a bag and returns its path.
 
     Args:
-        path: of the folder or file.
-        topics: name to messages and their times, ns since `BEGIN`.
+        path: path of the folder or file.
+        topics: times (ns since `BEGIN`) and messages by topic.
         kind: `mcap`, `db3`, or `bag` for ROS 1.
     """
     if kind == "bag":
@@ -123,7 +123,7 @@ def _fill(writer: Any, topics: Any, store: Any, serialize: Any) -> None:
 
 
 def read_joint_states(path: Path) -> dict[str, list[tuple[int, Any]]]:
-    """Messages of joints and their times, ns, by topic, as MCAP's reader for ROS has them."""
+    """Returns times (ns) and joint state messages by topic, decoded by MCAP's ROS decoder."""
     found: dict[str, list[tuple[int, Any]]] = {}
     with path.open("rb") as file:
         reader = make_reader(file, decoder_factories=[DecoderFactory()])
@@ -138,7 +138,7 @@ def read_joint_states(path: Path) -> dict[str, list[tuple[int, Any]]]:
 
 
 class Peer:
-    """Publishers in a separate process; see `ros2_peer`."""
+    """The publishers of `ros2_peer` in a separate process."""
 
     def __init__(self, process: subprocess.Popen[str]) -> None:
         self._process = process
@@ -149,7 +149,7 @@ class Peer:
         assert self._process.stdout.readline() == "done\n"
 
     def kill(self) -> None:
-        """Kills the process without a farewell."""
+        """Kills the process, so that it does not leave the domain properly."""
         self._process.kill()
         self._process.wait(10)
 
@@ -173,7 +173,7 @@ def free_domain() -> int:
 
 @contextmanager
 def publishing(domain: int, lease: float = 10.0) -> Iterator[Peer]:
-    """Yields publishers in a domain on this machine. Others detect a kill after `lease` (s)."""
+    """Yields publishers in a domain on this machine; a kill is detected after `lease` (s)."""
     script = Path(__file__).with_name("ros2_peer.py")
     command = [sys.executable, str(script), str(domain), str(lease)]
     with subprocess.Popen(
@@ -189,9 +189,9 @@ def publishing(domain: int, lease: float = 10.0) -> Iterator[Peer]:
 
 @contextmanager
 def rclpy_environment(folder: Path) -> Iterator[Path]:
-    """The Python of an environment with ROS 2 Kilted's `rclpy` over Fast DDS, from wheels.
+    """Yields the Python of an environment with `rclpy` of ROS 2 Kilted over Fast DDS from wheels.
 
-    Skips the test where these cannot be installed.
+    Skips the test if the wheels cannot be installed.
     """
     python = folder / "bin" / "python"
     folder.parent.mkdir(parents=True, exist_ok=True)

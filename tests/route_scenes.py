@@ -1,4 +1,4 @@
-"""Scenes with routes to everything that computes."""
+"""Scenes with routes to all inputs whose values are computed."""
 
 from __future__ import annotations
 

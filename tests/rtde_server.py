@@ -1,6 +1,7 @@
-"""A controller of Universal Robots on RTDE, as far as a client that only listens sees it.
+"""A simulated controller of Universal Robots with the part of RTDE that receiving clients need.
 
-Made by `struct` alone, as UR's guide has it; `python tests/rtde_server.py` plays one that moves.
+It encodes messages with `struct` according to UR's guide. `python tests/rtde_server.py` runs a
+controller of a moving robot.
 """
 
 from __future__ import annotations
@@ -38,19 +39,19 @@ def text_message(text: str, source: str = "PolyScope", level: int = 2) -> bytes:
 
 
 class RtdeServer:
-    """Accepts one client after the other, answers its questions, and sends what it is told to.
+    """A server that accepts one client at a time, answers its requests, and sends data packages.
 
     Args:
-        version: of the controller.
-        types: variable to its type; those of today's controllers when None.
-        answers: message to what is answered instead; bytes or a function of the payload.
-        host: to listen on.
-        port: likewise; 0 for any.
+        version: version of the controller.
+        types: types of variables by name; None for those of current controllers.
+        answers: other answers by type of the request: bytes, or a function of the payload.
+        host: address to listen on.
+        port: port to listen on; 0 for any port.
 
     Attributes:
-        asked: type and payload of all messages that came, of all clients.
+        asked: type and payload of all received messages.
         connections: number of clients so far.
-        started: set while a client waits for data packages.
+        started: event that is set while a client waits for data packages.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class RtdeServer:
 
     def close(self) -> None:
         with contextlib.suppress(OSError):
-            self._listening.shutdown(socket.SHUT_RDWR)  # which ends `accept`
+            self._listening.shutdown(socket.SHUT_RDWR)  # ends `accept`
         self._listening.close()
         self.drop()
         self._thread.join(5.0)
@@ -95,7 +96,7 @@ class RtdeServer:
                 client.shutdown(socket.SHUT_RDWR)
 
     def send(self, *messages: bytes) -> None:
-        """Sends to a client that has started."""
+        """Sends messages to a client that waits for data packages."""
         assert self.started.wait(5.0)
         assert self._client is not None
         self._client.sendall(b"".join(messages))
@@ -152,7 +153,7 @@ class RtdeServer:
             return message("v", struct.pack(">4I", *self.version))
         if kind == "O":
             (self.rate,) = struct.unpack_from(">d", payload)
-            # Ur_rtde ends the session this way.
+            # ur_rtde ends the session in this way.
             self.recipe = payload[8:].decode().rstrip(",").split(",")
             found = ",".join(self.types.get(name, "NOT_FOUND") for name in self.recipe)
             return message("O", b"\1" + found.encode())

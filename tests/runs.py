@@ -1,4 +1,4 @@
-"""Runs for tests: synthetic ones with known values, simulated ones, and their recordings."""
+"""Synthetic and simulated runs for tests, and recordings of them."""
 
 from __future__ import annotations
 
@@ -77,14 +77,14 @@ def simulated(stiffness: float = 800.0, duration: float = 0.5) -> Simulation:
 
 
 def in_old_words(text: str) -> str:
-    """Returns events with the former names of measured angles and velocities."""
+    """Returns a text in which measured angles and velocities have their former names."""
     return text.replace("_joint_angles", "_angles").replace("_joint_velocities", "_velocities")
 
 
 def record_run(
     simulation: Simulation, path: Path, *, attach: bool = True, is_old: bool = False
 ) -> Path:
-    """Records a simulation like the writer of simulations."""
+    """Records a simulation like `sero-mj simulate --record`."""
     structure = simulation.layout.structure
     if is_old:
         structure = Structure(in_old_words(structure.text), column_major=False)
@@ -125,7 +125,7 @@ def record_packets(
         )
         for name, text in files.items():
             writer.attach(name, "application/toml", text.encode())
-        begin = writer.clock.monotonic_ns / 1e9 + 2.0  # the first packet is late
+        begin = writer.clock.monotonic_ns / 1e9 + 2.0  # the first packet is delayed
         for i, time in enumerate(times):
             packet = layout.encode({event: values[i] for event, values in rows.items()})
             writer.write_raw(source, packet, begin + time)

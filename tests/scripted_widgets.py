@@ -1,4 +1,4 @@
-"""A stand-in for the widgets of a panel: logs what is built and does what a test requests."""
+"""Scripted widgets of a panel, which log their calls and return the values of a test."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from sero_mj.viewer.session.widgets import Ticks
 
 
 class ScriptedWidgets:
-    """See `Widgets`: all that can be folded is unfolded.
+    """An implementation of `Widgets` in which all sections and nodes are open.
 
     Args:
-        does: what its user does: a value by the label of a widget, or by its way, the labels of
-            sections and nodes before it with slashes between them; `True` for a button.
-        size: width and height of the panel, of the text's height.
+        does: input of the user: values by label of the widget, or by path (the labels of sections,
+            nodes and the widget, separated by slashes); `True` for a button.
+        size: width and height of the panel in units of the text height.
 
     Attributes:
-        built: kind and label of every widget, in order.
-        ways: of sections and nodes.
-        disabled: labels of what takes no input.
-        lit: labels of what is selected.
-        copied: what was put onto the clipboard last.
-        ticks: of the last slider.
-        plots: all that were built.
+        built: kind and label of all widgets, in order.
+        ways: paths of sections and nodes.
+        disabled: labels of disabled widgets.
+        lit: labels of selected widgets.
+        copied: text that was last copied to the clipboard.
+        ticks: ticks of the last slider.
+        plots: all plots.
     """
 
     points, interval = 980, 0.0

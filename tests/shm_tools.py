@@ -1,4 +1,4 @@
-"""Test-only blocks of shared memory, and writers in C."""
+"""Blocks of shared memory for tests, and writers in C."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def block(request: pytest.FixtureRequest) -> Iterator[str]:
 
 
 def make(name: str, content: bytes = b"") -> Block:
-    """Makes a block with this content."""
+    """Creates a block with this content."""
     made = Block(name, writable=True, create=True)
     made.resize(len(content))
     made.write(content)
@@ -46,12 +46,12 @@ def remove(block: Block) -> None:
 
 
 def unlink(name: str) -> None:
-    """Removes what a killed writer has left."""
+    """Removes a block that a killed writer has left."""
     remove(Block(name))
 
 
 def compile_c(source: Path, folder: Path) -> Path:
-    """Compiles a program in C without a warning."""
+    """Compiles a C program; warnings are errors."""
     compiler = shutil.which("cc")
     if compiler is None:
         if shutil.which("apt-get"):

@@ -14,11 +14,11 @@ from sero_mj.viewer.session.view_state import ViewState, view_state_of
 
 
 class Shown:
-    """See `sero_mj.viewer.session.tool.Shown`.
+    """An implementation of `sero_mj.viewer.session.tool.Shown` without a window.
 
     Attributes:
-        said: the messages, and whether they are errors.
-        copied: the text on the clipboard.
+        said: messages, and whether they are errors.
+        copied: text on the clipboard.
         shows_panel: whether the panel was opened.
     """
 

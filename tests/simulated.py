@@ -42,7 +42,7 @@ def lwr_robot() -> SerialRobot:
 
 
 def lwr_mujoco(timestep: float = 1e-3) -> tuple[mujoco.MjModel, list[int], int]:
-    """Returns the LWR alone with masses: model, joint ids, body of the flange."""
+    """Returns a model of an LWR with masses, its joint ids, and the id of the flange body."""
     world = World(Scene(robots=[lwr_robot()], floor=False))
     part, model = world.robots["lwr"], world.model
     model.body_mass[:] = 0.0
@@ -66,7 +66,7 @@ def lwr_model() -> RobotModel:
 
 
 class Loop:
-    """One robot in its own world, moved by torques."""
+    """A control loop of one robot, which is moved by torques."""
 
     def __init__(self, timestep: float = 1e-3, angles: Array = START) -> None:
         self.model, joints, self.flange = lwr_mujoco(timestep)
@@ -86,7 +86,7 @@ class Loop:
     def run(
         self, seconds: float, act: Callable[[Sensed, Array], object], push: Array | None = None
     ) -> Array:
-        """Returns angles after every step, (steps, n).
+        """Returns the angles after every step, shape (steps, n).
 
         `act` writes torques into its second argument.
         """

@@ -1,4 +1,4 @@
-"""Writes the counters of sources like a mirror."""
+"""Writes and reads the counters of sources in `MjData`, like a mirror."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NOTHING_YET = {
 
 
 def set_source(data: mujoco.MjData, world: World, name: str, **counts: float) -> None:
-    """Sets the slot of a source to these values and zeros, with nothing received."""
+    """Sets the counters of a source that has received nothing; other counters are zero."""
     assert counts.keys() <= set(SOURCE_FIELDS)
     given = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET | counts
     data.userdata[world.slots[f"sources.{name}"]] = list(given.values())
 
 
 def get_source(data: mujoco.MjData, world: World, name: str) -> dict[str, float]:
-    """Returns the slot of a source without the values that are unchanged since the start."""
+    """Returns the counters of a source that differ from their initial values."""
     values = data.userdata[world.slots[f"sources.{name}"]].tolist()
     before = dict.fromkeys(SOURCE_FIELDS, 0) | NOTHING_YET
     found = zip(SOURCE_FIELDS, values, strict=True)

@@ -350,7 +350,7 @@ STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
         ),
         (
             {"stiffness": np.triu(np.ones((6, 6)))},
-            {"reason": "found a matrix that is not symmetric; expected a symmetric one"},
+            {"reason": "found a matrix that is not symmetric; expected a symmetric matrix"},
         ),
         (
             {"axes": "flang"},

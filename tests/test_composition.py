@@ -323,10 +323,11 @@ def test_invalid_mounts_are_reported_together_with_their_lines(tmp_path: Path) -
     assert problems_in(path) == [
         "7: robots.a.mount: no frame 'torso/lnk1'; did you mean 'torso/link1'?",
         "11: robots.b.mount: no frame 'toroso/link1'; did you mean 'torso/link1'?",
-        "15: robots.c.mount: no frame 'torso'; expected a frame of it: torso/base, torso/link1, "
+        "15: robots.c.mount: no frame 'torso'; expected one of its frames: torso/base, "
+        "torso/link1, "
         "torso/flange",
-        "19: robots.d.mount: robots are mounted on each other in a circle: d on e on d",
-        "27: robots.f.mount: robots are mounted on each other in a circle: f on f",
+        "19: robots.d.mount: robots are mounted on each other in a cycle: d on e on d",
+        "27: robots.f.mount: robots are mounted on each other in a cycle: f on f",
     ]
 
 

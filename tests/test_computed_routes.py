@@ -125,13 +125,13 @@ def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
         (
             "lwr.show_arrows",
             "(udp.values0 > 1) + 1 > 0",
-            "expected numbers; use and, or to combine comparisons",
+            "expected numbers; combine comparisons with 'and' or 'or'",
         ),
         ("lwr.show_arrows", "udp.values0 = 1", "between spaces, or the end; write == to compare"),
         ("lwr.show_arrows", "udp.values0 > udp.values2", "found 2 values and 3 values"),
         ("lwr.show_arrows", "abs(udp.values0)", "only toggles take functions and comparisons"),
         ("lwr.torques", "abs(udp.values0)", "only toggles take functions and comparisons"),
-        ("lwr.show_arrows", "abs(udp.values0, 2) > 1", "expected one argument of the function"),
+        ("lwr.show_arrows", "abs(udp.values0, 2) > 1", "expected a function with one argument"),
         ("lwr.show_arrows", "aps(udp.values0) > 1", "expected a function; did you mean 'abs'?"),
         ("lwr.show_arrows", "2 * deg > 1 * mm", "found an angle (rad) and a length (m)"),
         (

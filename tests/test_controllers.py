@@ -142,9 +142,10 @@ def test_declared_torque_limits_lower_those_of_the_robot() -> None:
     assert control.saturated.any()
     with pytest.raises(DeclarationError) as error:
         make_controller(JointImpedance(stiffness=1.0, torque_limits=100.0), MODEL, 1e-3, LIMITS)
+    expected = "up to 38, the limit of the robot"
     assert error.value.problems == [
-        Problem("torque_limits", "joint A5 has", found=100.0, expected="up to 38, the robot's"),
-        Problem("torque_limits", "joint A6 has", found=100.0, expected="up to 38, the robot's"),
+        Problem("torque_limits", f"joint {name} has", found=100.0, expected=expected)
+        for name in ("A5", "A6")
     ]
     zero = JointImpedance(stiffness=1.0, torque_limits=[1, 1, 0, 1, 1, 1, 1])
     with raises_with(
@@ -174,7 +175,7 @@ def test_gains_are_checked_against_the_limits_except_for_user_controllers() -> N
         reason="joint A5 is unstable at 10000 Nm/rad with a time step of",
         found=20.0,
         of="ms",
-        expected="up to 667 and 6.7 % of the others, or a shorter step",
+        expected="up to 667 and 6.7 % of the other stiffnesses, or a shorter time step",
     ):
         stiff.check(START)
     make_controller(Wave(), MODEL, 0.02, LIMITS).check(START)

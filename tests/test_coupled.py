@@ -220,8 +220,8 @@ def test_invalid_couplings_are_reported_with_their_lines(tmp_path: Path) -> None
     with pytest.raises(DeclarationError) as caught:
         load_scene(path)
     assert [str(problem) for problem in caught.value.problems] == [
-        f"{path}:11: robots.finger.couplings.middle.ratio: found 0; expected another number: with "
-        "0 the joint would be fixed"
+        f"{path}:11: robots.finger.couplings.middle.ratio: found 0; expected a nonzero ratio, "
+        "because 0 would fix the joint"
     ]
     path.write_text(WRONG.replace("ratio = 0.0", "ratio = 1.0"))
     with pytest.raises(DeclarationError) as caught:
@@ -230,6 +230,6 @@ def test_invalid_couplings_are_reported_with_their_lines(tmp_path: Path) -> None
         f"{path}:7: robots.finger.couplings.tip.to: no joint 'midle'; did you mean 'middle'?",
         f"{path}:8: robots.finger.couplings.thumb: no joint 'thumb'; available: base, knuckle, "
         "middle, tip",
-        f"{path}:9: robots.finger.couplings.base: joints are coupled in a circle: base to knuckle "
+        f"{path}:9: robots.finger.couplings.base: joints are coupled in a cycle: base to knuckle "
         "to base",
     ]

@@ -290,7 +290,9 @@ def test_batched_poses_equal_single_ones():
 
 def test_wrong_number_of_joint_angles_is_rejected():
     table = table_in_degrees(PUMA_STANDARD, "standard")
-    with raises_with(key="joint_angles", reason="found (2, 5)", expected="6 in the last axis"):
+    with raises_with(
+        key="joint_angles", reason="found shape (2, 5)", expected="6 in the last axis"
+    ):
         table.frames(np.zeros((2, 5)))
-    with raises_with(key="joint_angles", reason="found ()", expected="6 in the last axis"):
+    with raises_with(key="joint_angles", reason="found shape ()", expected="6 in the last axis"):
         table.jacobian(0.5)

@@ -404,7 +404,7 @@ with Mirror(load_scene("lwr")) as mirror:
     actions.perform("copy"), actions.perform("gap_copy")
     print(said)
 """)  # fmt: skip
-    assert "the action copy of the tool gap is ignored: the name is taken" in printed
+    assert "the action copy of the tool gap is ignored: the name is in use" in printed
     assert printed.splitlines()[-1] == "[(\"the host's\", False), ('the gap', False)]"
 
 

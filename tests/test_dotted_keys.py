@@ -86,7 +86,7 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
     ("key", "message"),
     [
         ("lwr.dynamics.mas_scale", "unknown key; did you mean 'mass_scale'?"),
-        ("lwr.torque_limits[9]", "'torque_limits' has no element [9]; the last is [6]"),
+        ("lwr.torque_limits[9]", "'torque_limits' has no element [9]; it has 7, counted from [0]"),
         ("lwr.name[0]", "'name' is not a list; set it as a whole"),
         (
             "lwr.dynamics.coulom_friction[1]",
@@ -119,7 +119,11 @@ def test_elements_of_lists_in_a_scenario_are_overridden() -> None:
         ("view.look_art", "unknown key; did you mean 'look_at'?"),
         ("arrows.tip.radius", "there is no [arrows.tip], and for a new one at: is required"),
         ("groups.arms.show_axes", "no group 'arms'; none is available"),
-        ("lwr", "names no field; expected robot.field, e.g. lwr.joint_angles"),
+        (
+            "lwr",
+            "the key has no field; expected the names of a robot and a field, such as "
+            "lwr.joint_angles",
+        ),
         ("controlers.lwr.stiffness", "no robot 'controlers' to set this for; did you mean 'contro"),
         ("run.duratio", "unknown key; did you mean 'duration'?"),
     ],

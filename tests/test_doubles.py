@@ -150,15 +150,15 @@ def test_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
         ('[doubles.d]\nof = "lrw"', "s.toml:4: doubles.d.of: no robot 'lrw'; did you mean 'lwr'?"),
         (
             '[doubles.lwr]\nof = "lwr"',
-            "s.toml:3: doubles.lwr: a robot has this name; expected another one",
+            "s.toml:3: doubles.lwr: a robot already has this name; expected a different name",
         ),
         (
             '[doubles.d]\nof = "lwr"\njoint_angles = [1, 2]',
-            "s.toml:5: doubles.d.joint_angles: found 2 joints; lwr has 7",
+            "s.toml:5: doubles.d.joint_angles: found values of 2 joints, but lwr has 7",
         ),
         (
             '[doubles.d]\nof = "lwr"\npath = [[1, 2], [1, 2]]',
-            "s.toml:5: doubles.d.path: found 2 joints; lwr has 7",
+            "s.toml:5: doubles.d.path: found values of 2 joints, but lwr has 7",
         ),
         (
             '[doubles.d]\nof = "lwr"\nrgb = [1]',

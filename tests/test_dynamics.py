@@ -295,24 +295,27 @@ def refused(**dynamics) -> list[Problem]:
         (
             {"masses": [1, 1]},
             Problem(
-                "dynamics.masses", found=2, of="entries", expected="3: the base and one per joint"
+                "dynamics.masses",
+                found=2,
+                of="entries",
+                expected="3, one for the base and one per joint",
             ),
         ),
         (
             {"inertias": [[1, 1, 1, 0, 0, 0], [1, 1, 3, 0, 0, 0], [1, 1, 1, 0, 0, 0]]},
             Problem(
                 "dynamics.inertias",
-                "link 1: found principal moments 1, 1, 3 kg m2; expected the largest to be at "
-                "most the sum of the others, 2 (a tensor about the centre of mass?); "
-                'inertia_repair = "balance" changes it to a similar one',
+                "link 1: found principal moments 1, 1, 3 kg m2; expected the largest moment "
+                "to be at most the sum of the other two, 2. Is the tensor about the center of mass?"
+                ' Set inertia_repair = "balance" to replace it by a similar valid tensor.',
             ),
         ),
         (
             {"inertias": [[1, 1, 1, 0, 0, 0], [1, 1, 1, 0, 0, 0], [1, 1, 1, 2, 0, 0]]},
             Problem(
                 "dynamics.inertias",
-                "link 2: found principal moments -1, 1, 3 kg m2; expected all of them positive; "
-                'inertia_repair = "balance" changes it to a similar one',
+                "link 2: found principal moments -1, 1, 3 kg m2; expected positive moments. "
+                'Set inertia_repair = "balance" to replace it by a similar valid tensor.',
             ),
         ),
         (
@@ -320,7 +323,7 @@ def refused(**dynamics) -> list[Problem]:
             Problem(
                 "dynamics.inertias",
                 "the base: found 5",
-                expected="6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or 3 x 3",
+                expected="6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or a 3 x 3 matrix",
             ),
         ),
         (
@@ -329,7 +332,7 @@ def refused(**dynamics) -> list[Problem]:
                 "dynamics.inertias",
                 "the base: found",
                 found=[[1.0, 0.0, 0.5], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]],
-                expected="a symmetric 3x3",
+                expected="a symmetric 3 x 3 matrix",
             ),
         ),
         (
@@ -352,7 +355,7 @@ def refused(**dynamics) -> list[Problem]:
                 "dynamics.motor_inertias",
                 found=1,
                 of="entries",
-                expected="2: one per row of dh_params",
+                expected="2, one per row of dh_params",
             ),
         ),
         (
@@ -427,7 +430,7 @@ def test_elastic_joints_require_motor_inertias():
     assert caught.value.problems == [
         Problem(
             "robots.arm.dynamics.motor_inertias",
-            "joint 2: found 0; expected a motor inertia above 0 for a robot with elastic_joints",
+            "joint 2: found 0; expected a positive motor inertia, because elastic_joints is true",
         )
     ]
     World(Scene(robots=[robot]))  # valid for display
@@ -516,7 +519,10 @@ def test_repair_reports_its_changes_and_the_robot_can_be_simulated() -> None:
     message = str(caught.value)
     assert "dynamics.inertias: link 1: found principal moments 1, 1, 3 kg m2" in message
     assert "dynamics.inertias: link 2: found principal moments 0, 0, 0 kg m2" in message
-    assert message.count('inertia_repair = "balance" changes it to a similar one') == 2
+    assert (
+        message.count('Set inertia_repair = "balance" to replace it by a similar valid tensor.')
+        == 2
+    )
     robot = SerialRobot(
         dh_convention="craig", dh_params=rows, dynamics={**table, "inertia_repair": "balance"}
     )

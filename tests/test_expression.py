@@ -253,7 +253,7 @@ def test_infinity_minus_infinity_raises_no_warning() -> None:
          "( or [; 'not' must be the first word"),
         ("1e999", "character 1: found '1e999', expected a smaller number"),
         ("1e308 * 1e308", "character 1: found '1e308 * 1e308', expected finite numbers"),
-        ("(" * 41 + "1", "character 41: found '(', expected at most 40 brackets within each other"),
+        ("(" * 41 + "1", "character 41: found '(', expected at most 40 nested brackets"),
         ("udp.values0[4]", "character 13: found '4', expected 0 to 3, or -1 to -4 from the end: "
          "udp.values0 has 4 values"),
         ("udp.values0[0,-5]", "character 15: found '-5', expected 0 to 3, or"),
@@ -273,7 +273,7 @@ def test_infinity_minus_infinity_raises_no_warning() -> None:
         ("udp.values0 - udp.vectors0", "found 4 values and 2 x 3 values"),
         ("udp.values0 * my-udp.values0", "character 13: found '*', expected a constant on one "
          "side: routes can only add multiples of numbers"),
-        ("2 / udp.values0", "character 3: found '/', expected a constant after it"),
+        ("2 / udp.values0", "character 3: found '/', expected a constant divisor"),
         ("udp.values0 / [1, 0, 1, 1]", "character 13: found '/', expected a divisor other than 0"),
         ("udp.values0 * deg + 3 * mm", "character 19: found '+', expected the same unit on both "
          "sides; found an angle (rad) and a length (m)"),

@@ -742,7 +742,7 @@ def test_program_can_command_angles_to_joint_springs(folder: Path) -> None:
         (
             'kind = "udp"\nport = 9\nanswer = "step:1I"',
             "answer",
-            "expected torques, or joint_angles",
+            "expected either torques or joint_angles",
         ),
         ('kind = "udp"\nport = 9\nanswer = "joint_angles:7F"', "stiffness", "stiffness in answer"),
         ('kind = "udp"\nport = 9\nanswer = "torques:7F damping:7F"', "answer", "damping is there"),

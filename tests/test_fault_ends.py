@@ -138,8 +138,8 @@ def test_plot_shows_when_a_fault_ends() -> None:
 @pytest.mark.parametrize(
     ("end", "problem"),
     [
-        ("0.02", Problem("faults.x.end", found=0.02, expected="more than begin, 0.05 s")),
-        ("0.05", Problem("faults.x.end", found=0.05, expected="more than begin, 0.05 s")),
+        ("0.02", Problem("faults.x.end", found=0.02, expected="a time after begin (0.05 s)")),
+        ("0.05", Problem("faults.x.end", found=0.05, expected="a time after begin (0.05 s)")),
         ("'soon'", Problem("faults.x.end", found="soon", expected="number")),
         ("nan", Problem("faults.x.end", found=math.nan, expected="a finite number")),
         ("inf", Problem("faults.x.end", found=math.inf, expected="a finite number")),

@@ -90,4 +90,4 @@ def test_error_for_fixed_last_rows_contains_the_flange_frame() -> None:
 def test_error_for_a_fixed_row_in_between_names_joint_frames() -> None:
     types = ["revolute", "fixed", "revolute"]
     text = expected_of(np.zeros((3, 4)), types, dh_convention="craig")
-    assert "declare the robot by joint_frames" in text
+    assert "use joint_frames" in text

@@ -263,7 +263,7 @@ def test_base_cannot_be_free_and_mounted() -> None:
             free_base=True,
         )  # fmt: skip
     assert str(caught.value) == (
-        "free_base: found true with mount = 'a/flange'; expected one of the two"
+        "free_base: found true with mount = 'a/flange'; expected only one of them"
     )
 
 

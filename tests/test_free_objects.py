@@ -134,9 +134,9 @@ def test_measures_report_the_object_motion() -> None:
 def test_only_solid_objects_can_have_a_mass() -> None:
     for fields, reason in (
         ({"shape": "axes", "mass": 1.0},
-         "mass: found 1 for axes; expected another shape, or a mesh"),
+         "mass: found 1 for axes; expected a solid shape or a mesh"),
         ({"mjcf": "<mujoco/>", "friction": 0.5},
-         "friction: found 0.5 for a piece of MJCF; expected it in its geoms"),
+         "friction: found 0.5 for MJCF; expected the friction in its geoms"),
     ):  # fmt: skip
         with pytest.raises(DeclarationError) as caught:
             Object(name="x", **fields)

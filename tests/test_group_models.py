@@ -266,7 +266,7 @@ model = "hand"
         ),
         Problem(
             "groups.h.robots.tumb",
-            "hand has none; did you mean 'thumb'?",
+            "not a member of hand; did you mean 'thumb'?",
             file="scene.toml",
             line=6,
         ),
@@ -289,7 +289,7 @@ model = "hand"
         ),
         Problem(
             "robots.m_nail",
-            "a group with a model has a robot of this name",
+            "a robot of a group model already has this name",
             file="scene.toml",
             line=16,
         ),
@@ -331,7 +331,7 @@ def test_group_model_that_contains_itself_is_rejected(folder: Path) -> None:
         folder, "hand/group.toml", "[robots.index]", '[groups.x]\nmodel = "body"\n[robots.index]'
     )
     (problem, *_) = scene_problems(folder, '[groups.b]\nmodel = "body"\n')
-    circle = "models of groups are in each other in a circle: body in hand in body"
+    circle = "group models contain each other: body in hand in body"
     assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=6)
 
 
@@ -341,10 +341,10 @@ def test_values_set_for_group_members_are_reported_by_their_names(folder: Path) 
                          for n in ("index", "thumb", "nail"))]  # fmt: skip
     each = ", ".join(f"b_{name} 2" for name in robots)
     for setting, text in (
-        ({}, f":3: groups.b.joint_angles: found 2 joints; expected 14: {each}"),
+        ({}, f":3: groups.b.joint_angles: found values of 2 joints; expected 14 ({each})"),
         ({"b_trunk.show_axs": 1}, ": b_trunk.show_axs: unknown key; did you mean 'show_axes'?"),
         ({"b.show_axes": 1}, ": b.show_axes: found 1; expected true or false"),
-        ({"b.show_axs": 1}, ": b.show_axs: no robot has this; did you mean 'show_axes'?"),
+        ({"b.show_axs": 1}, ": b.show_axs: no robot has this field; did you mean 'show_axes'?"),
     ):  # fmt: skip
         with pytest.raises(DeclarationError) as caught:
             load_scene(folder / "scene.toml", {"b.joint_angles": [0.1] * 14, **setting} if setting
@@ -384,7 +384,7 @@ def test_fk_and_check_list_the_robots_of_a_group(
 
 def test_objects_of_a_group_model_need_a_base_robot(folder: Path) -> None:
     (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
-    reason = "no robot to carry it that is neither mounted on another nor mirrored"
+    reason = "no robot can carry it; expected one that is neither mounted nor mirrored"
     problem = scene_problems(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("objects.palm", reason, file="hand/group.toml", line=1)
 
@@ -392,6 +392,6 @@ def test_objects_of_a_group_model_need_a_base_robot(folder: Path) -> None:
 def test_group_model_that_contains_itself_through_a_link_is_rejected(folder: Path) -> None:
     (folder / "hand/again").symlink_to(folder / "hand")
     changed(folder, "hand/group.toml", "[objects", '[groups.x]\nmodel = "again"\n[objects')
-    circle = "models of groups are in each other in a circle: hand in hand"
+    circle = "group models contain each other: hand in hand"
     problem = scene_problems(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("groups.x.model", circle, file="hand/group.toml", line=23)

@@ -131,8 +131,8 @@ def test_input_that_not_all_robots_have_is_rejected() -> None:
         routes={"arms.currents": "udp.values0"},
     )  # fmt: skip
     assert route_problems(scene) == [
-        "routes.arms.currents: 'currents' is an input of left, but not of right; expected it in "
-        "all of arms"
+        "routes.arms.currents: 'currents' is an input of left, but not of right; expected an "
+        "input that all robots of arms have"
     ]
 
 
@@ -276,10 +276,11 @@ def test_invalid_groups_are_reported_together_with_their_lines(tmp_path: Path) -
     assert problems_in(path) == [
         "9: groups.one.show_arrows: found 3; expected true or false",
         "12: groups.two.robots: no robot or group 'cc'; did you mean 'c'?",
-        "15: groups.three.robots: groups are in each other in a circle: three in four in three",
-        "21: groups.five.robots: 'a' is in it twice, so its share of the values is ambiguous",
-        "26: groups.six.show_axes: 'b' is in five as well, which has another show_axes",
-        "28: groups.c: a robot has this name; expected another one",
+        "15: groups.three.robots: groups contain each other: three in four in three",
+        "21: groups.five.robots: the group contains 'a' twice, so its share of the "
+        "values is ambiguous",
+        "26: groups.six.show_axes: 'b' is also in the group five, which has a different show_axes",
+        "28: groups.c: a robot already has this name; expected a different name",
         "32: groups.seven.robots: found []; expected 1 entry or more",
     ]
 
@@ -418,7 +419,7 @@ def test_groups_and_doubles_accept_poses_in_degrees(tmp_path: Path) -> None:
         "3: doubles.goal.joint_angles_deg: is for revolute joints only, but b"
     )
     assert ": groups.pair.joint_angles_deg: is for revolute joints only, but b" in problems[1]
-    with raises_with(reason="found both joint_angles and joint_angles_deg; expected one"):
+    with raises_with(reason="found both joint_angles and joint_angles_deg; expected only one"):
         Double(name="goal", of="a", joint_angles=[0], joint_angles_deg=[0])
 
 
@@ -433,12 +434,12 @@ def test_wrong_values_of_a_group_are_reported_once(
             main(command)
         return capsys.readouterr().err.removeprefix("sero-mj: ").splitlines()
 
-    expected = "expected 10: b 3, a 7, or 9 without the coupled joints"
+    expected = "expected 10 (b 3, a 7), or 9 without the coupled joints"
     assert printed_problems("pair.joint_angles=1,2") == [
-        f"--set pair.joint_angles: found 2 joints; {expected}"
+        f"--set pair.joint_angles: found values of 2 joints; {expected}"
     ]
     assert printed_problems("pair.show_axs=true") == [
-        "--set pair.show_axs: no robot has this; did you mean 'show_axes'?"
+        "--set pair.show_axs: no robot has this field; did you mean 'show_axes'?"
     ]
     assert printed_problems("pair.show_axes=3") == [
         "--set pair.show_axes: found 3; expected true or false"
@@ -453,7 +454,7 @@ def test_wrong_values_of_a_group_are_reported_once(
     ]
     (tmp_path / "wrong.toml").write_text(POSED.replace("9, 10]", "9, 10, 11]"))
     assert problems_in(tmp_path / "wrong.toml") == [
-        f"12: groups.pair.torques: found 11 joints; {expected}"
+        f"12: groups.pair.torques: found values of 11 joints; {expected}"
     ]
 
 
@@ -482,19 +483,19 @@ def test_inputs_of_groups_are_set_by_the_group_name() -> None:
 def test_wrong_inputs_of_groups_are_reported_by_the_group_name() -> None:
     world = World(justin(doubles=[Double(name="goal", of="arms")]))
     data = world.make_data()
-    each = "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
+    each = "(torso 2, head 1, left 3, right 3), or 7 without the coupled joints"
     wrong: list[tuple[str, Any, str]] = [
         ("justin.joint_angles", [0.0] * 8,
-         f"justin.joint_angles: found 8 numbers; expected 9 finite numbers: {each}"),
+         f"justin.joint_angles: found 8 numbers; expected 9 finite numbers {each}"),
         ("justin.joint_angles", [0.0] * 6 + [np.nan],
          "justin.joint_angles: found [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, nan]; expected 9 finite "
-         f"numbers: {each}"),
-        ("justin.torques", "no", f"justin.torques: found 'no'; expected 9: {each}"),
+         f"numbers {each}"),
+        ("justin.torques", "no", f"justin.torques: found 'no'; expected 9 numbers {each}"),
         ("justin.torqes", [0.0] * 9, "no input of justin 'torqes'; did you mean 'torques'?"),
         ("justn.torques", [0.0] * 9, "no robot 'justn'; did you mean 'justin'?"),
         ("arms.flange_check", np.eye(4),
-         "arms.flange_check: there is one frame, and flange_check of left, right; expected one of "
-         "these"),
+         "arms.flange_check: one frame cannot set flange_check of several robots (left, right); "
+         "expected a single robot"),
     ]  # fmt: skip
     for target, values, text in wrong:
         with pytest.raises((UnknownName, ValueError)) as caught:
@@ -604,6 +605,6 @@ def test_double_of_a_group_with_too_many_angles_is_reported_once() -> None:
     with pytest.raises(DeclarationError) as caught:
         justin(doubles=[Double(name="goal", of="arms", joint_angles=np.zeros(5))])
     assert str(caught.value) == (
-        "doubles.goal.joint_angles: found 5 joints; expected 6: left 3, right 3, or 4 without the "
-        "coupled joints"
+        "doubles.goal.joint_angles: found values of 5 joints; expected 6 (left 3, right 3), or 4 "
+        "without the coupled joints"
     )

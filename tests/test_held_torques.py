@@ -60,7 +60,7 @@ def test_floating_robot_has_no_arrows_and_no_legend(caplog) -> None:
     scene = lwr(joint_angles=BENT, free_base=True)
     with caplog.at_level(logging.WARNING):
         assert legend(scene) == ""
-    assert "no gravity torque: robots.lwr: has a free base" in caplog.text
+    assert "no gravity torque: robots.lwr: joint torques cannot hold" in caplog.text
 
 
 def test_live_robot_has_a_legend_before_its_first_packet() -> None:

@@ -287,11 +287,11 @@ def test_scenes_of_too_many_robots_are_rejected_before_they_are_built(
     file.write_text("".join(ROBOT.format(f"r{i}") for i in range(3000)))
     with pytest.raises(DeclarationError) as found:
         load_scene(file)
-    assert str(found.value) == f"{file}:1: robots: found 3000; expected at most 200"
+    assert str(found.value) == f"{file}:1: robots: found 3000 entries; expected at most 200"
     file.write_text("floor = true\n" + "".join(f"[lights.l{i}]\n" for i in range(101)))
     with pytest.raises(DeclarationError) as found:
         load_scene(file)
-    assert str(found.value) == f"{file}:2: lights: found 101; expected at most 100"
+    assert str(found.value) == f"{file}:2: lights: found 101 entries; expected at most 100"
 
 
 def test_nested_group_models_do_not_multiply(tmp_path: Path) -> None:
@@ -315,7 +315,7 @@ def test_doubles_of_large_groups_do_not_multiply(tmp_path: Path) -> None:
     with pytest.raises(DeclarationError) as found:
         load_scene(file)
     assert [(each.key, each.message) for each in found.value.problems] == [
-        ("doubles", "found 600; expected at most 500")
+        ("doubles", "found 600 entries; expected at most 500")
     ]
 
 

@@ -306,11 +306,11 @@ def test_xacro_accepts_arguments(folder: Path, capsys) -> None:
     for wrong, expected in (
         (
             'model = "lwr"\narguments = { a = 1 }',
-            {"reason": "are for xacro; robot.toml has none"},
+            {"reason": "arguments are only for xacro, but the model is robot.toml"},
         ),
         (
             'model = "ur.urdf.xacro"\narguments = [1]',
-            {"found": [1], "expected": "texts and numbers by name"},
+            {"found": [1], "expected": "a table of texts and numbers"},
         ),
     ):
         with raises_with(key="robots.x.arguments", **expected):

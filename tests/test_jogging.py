@@ -79,7 +79,8 @@ def test_carrier_holds_the_robots_mounted_on_it() -> None:
 def test_floating_robot_has_no_gravity_torques() -> None:
     robot = sero_mj.SerialRobot.from_model("lwr", free_base=True)
     with raises_with(
-        key="robots.lwr", reason="has a free base, and cannot hold itself against gravity"
+        key="robots.lwr",
+        reason="joint torques cannot hold a robot with a free base against gravity",
     ):
         GravityTorques({"lwr": robot})
 
@@ -125,7 +126,7 @@ def test_joints_stop_at_their_limits_and_report_them() -> None:
     goal.set_all(BENT)
     goal.move_flange(np.eye(4), frame(np.eye(3), [2.0, 0, 0.3]), at_once=True)
     assert goal.angles == pytest.approx(BENT)
-    assert goal.trouble.startswith("not reached, 1")
+    assert goal.trouble.startswith("the pose is not reached (1")
     assert goal.trouble.endswith("; the robot does not move")
     assert goal.mark is not None and goal.mark[0].tolist() == [2.0, 0.0, 0.3]
     there = goal.flange(np.eye(4))
@@ -244,7 +245,7 @@ def test_dragged_link_follows_the_pointer_until_released(link: int) -> None:
     for _ in range(60):
         trouble = jogging.drag()
         settle(mirror, jogging, 0.05)
-    assert trouble.startswith("not reached, ")
+    assert trouble.startswith("the pose is not reached (")
     assert toggles.handles is not None and toggles.handles.mark is not None
     low, high = part.robot.position_limits.T
     assert (data.qpos >= low - 1e-9).all() and (data.qpos <= high + 1e-9).all()

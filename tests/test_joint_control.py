@@ -94,7 +94,7 @@ def test_gains_unstable_at_the_time_step_are_rejected_with_the_joint() -> None:
         reason="joint A5 is unstable at 1e+06 Nm/rad with a time step of",
         found=1.0,
         of="ms",
-        expected="up to 2.67e+05 and 27 % of the others, or a shorter step",
+        expected="up to 2.67e+05 and 27 % of the other stiffnesses, or a shorter time step",
     ):
         JointPosition(stiffness=1e6).make(model, 1e-3).check(START)
     message = (
@@ -365,6 +365,6 @@ def test_invalid_gains_are_rejected(fields: dict[str, Any], problem: Problem) ->
 
 
 def test_gains_of_the_wrong_size_are_rejected() -> None:
-    expected = "7, one per joint, or one for all"
+    expected = "7 (one per joint) or 1 (for all)"
     with raises_with(key="stiffness", found=6, of="entries", expected=expected):
         JointImpedance(stiffness=[1.0] * 6).make(lwr_model(), 1e-3)

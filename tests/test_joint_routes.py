@@ -320,8 +320,8 @@ def test_declared_limbs_are_used_and_their_errors_reported() -> None:
         fork(limbs={"a": ["l_hip", "nee"], "stem": ["l_hip"], "b": []})
     text = str(caught.value)
     assert "limbs.a.1: no joint 'nee'" in text
-    assert "limbs.stem: a joint has this name" in text
-    assert "limbs.stem.0: l_hip is in a already; expected it in one limb" in text
+    assert "limbs.stem: a joint already has this name" in text
+    assert "limbs.stem.0: l_hip is already in a; expected it in only one limb" in text
     assert "limbs.b: found no joints; expected one or more" in text
 
 

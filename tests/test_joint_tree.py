@@ -17,6 +17,7 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.robots.kinematics.joint_tree import JointFrames
 
+ORDER = "joints in depth-first order"
 BASE = frame(rotation_from_rpy([0.2, -0.3, 0.5]), [0.3, -0.1, 0.4])
 
 
@@ -213,7 +214,7 @@ def test_fields_of_a_tree_can_be_set_one_by_one():
     robot.base_frame = {"xyz": [0, 0, 1.5]}
     robot.show_axes = True
     assert robot.base_frame[2, 3] == 1.5 and robot.show_axes and robot.n == 7
-    with raises_with(reason="found dh_base_frame with joint_frames; expected one of the two"):
+    with raises_with(reason="found dh_base_frame with joint_frames; expected only one of them"):
         robot.dh_base_frame = {"xyz": [0, 0, 1]}
 
 
@@ -242,18 +243,22 @@ def test_arrows_fit_the_links():
         ),
         (
             {"joint_frames": [np.eye(4)] * 2, "parents": ["J2", "base"]},
-            Problem("parents.0", "J1 is on J2; expected it behind that and its branch whole"),
+            Problem(
+                "parents.0", "J1 does not continue the branch of its parent J2", expected=ORDER
+            ),
         ),
         (
             {"joint_frames": [np.eye(4)] * 3, "parents": ["base", "base", "J1"]},
-            Problem("parents.2", "J3 is on J1; expected it behind that and its branch whole"),
+            Problem(
+                "parents.2", "J3 does not continue the branch of its parent J1", expected=ORDER
+            ),
         ),
         (
             {"joint_frames": [np.eye(4)], "dh_params": [[0, 0, 0, 0]]},
-            Problem(reason="found dh_params with joint_frames; expected one of the two"),
+            Problem(reason="found dh_params with joint_frames; expected only one of them"),
         ),
-        ({"dh_convention": "none"}, Problem("dh_convention", "found 'none'",
-                                            expected="joint_frames with it")),
+        ({"dh_convention": "none"}, Problem("dh_convention", "found 'none' without joint_frames",
+                                            expected="'craig' or 'standard'")),
         ({"joint_frames": []}, Problem("joint_frames", found=0, of="frames",
                                        expected="1 to 128, one per joint")),
         (
@@ -272,7 +277,7 @@ def test_arrows_fit_the_links():
         ),
         (
             {"joint_frames": [np.eye(4)], "filenames": ["", {"color": "red"}]},
-            Problem("filenames.1.0", "found neither of file and shape; expected one of them"),
+            Problem("filenames.1.0", "found neither file nor shape; expected one of them"),
         ),
     ],
 )  # fmt: skip

@@ -84,7 +84,7 @@ def test_check_reports_the_reach_and_implausible_lengths(
 ) -> None:
     folder = write(tmp_path / "arm", ROBOT)
     said = (
-        "robot 'arm' reaches 1210 m; lengths are in m, and length_unit = \"mm\" is for a DH table "
+        "robot 'arm' reaches 1210 m. Are lengths in mm? Set length_unit = \"mm\" for a DH table "
         "in mm"
     )
     for text, reach, told in ((ROBOT, "1210", [said]), (f'{ROBOT}length_unit="mm"', "1.21", [])):

@@ -250,7 +250,7 @@ def test_simulation_restarts_after_an_error() -> None:
     panel.build(ui)
     assert any(t.startswith("stopped: ") and "it runs away" in t for t in ui.texts())
     panel.build(ScriptedWidgets({"restart": True}))
-    assert messages == ["from the declared pose"]
+    assert messages == ["restarted from the initial pose"]
     played.go(0.5)
     assert played.source.error is None and played.clock.time == pytest.approx(0.5, abs=0.05)
     assert played.lwr.control == "joint_impedance"
@@ -385,7 +385,7 @@ def test_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
     for _ in range(40):
         trouble = played.steering.drag()
-    assert trouble.startswith("not reached, ")
+    assert trouble.startswith("the pose is not reached (")
     played.steering.advance(0.02)
     assert played.toggles.handles.mark is not None
     low, high = goal.robot.position_limits.T

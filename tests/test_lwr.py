@@ -226,4 +226,4 @@ def test_zero_mass_is_noted_in_an_export(tmp_path):
     table = 'dh_convention = "craig"\ndh_params = [[0, 0, 0, 0.2], [1, 0.2, 0, 0]]\n'
     (tmp_path / "robot.toml").write_text(f"{table}{text}inertias = {tensors}\n")
     (path, *_) = World(load_scene(str(tmp_path))).export(tmp_path / "x.xml")
-    assert ": 3 kg, as declared; link 1: without a mass -->" in path.read_text()
+    assert ": 3 kg, as declared (without mass: link 1) -->" in path.read_text()

@@ -197,6 +197,6 @@ def test_mjcf_object_cannot_be_mirrored() -> None:
     with pytest.raises(DeclarationError) as caught:
         make("craig", mirrored=True, children=[child])
     assert str(caught.value) == (
-        "mirrored: the child 't' is a piece of MJCF or URDF, and cannot be mirrored; "
-        "expected shapes and meshes"
+        "mirrored: the child 't' is from MJCF or URDF, and cannot be mirrored; "
+        "expected only shapes and meshes as children"
     )

@@ -355,7 +355,8 @@ def test_different_number_of_joints_is_rejected(path):
     )
     with pytest.raises(DeclarationError) as caught:
         World(Scene(robots=[robot]))
-    assert "mjcf: found 7 joints in it; expected 1, as the robot has" in str(caught.value)
+    expected = "mjcf: found 7 joints in the model; expected 1, as in the robot declaration"
+    assert expected in str(caught.value)
 
 
 def test_collision_geoms_are_not_drawn_over_visual_ones():

@@ -78,7 +78,7 @@ def test_schema_contains_every_kind_and_describes_keys() -> None:
         kind = header.partition('kind = "')[2].rstrip('"')
         assert not kind or json.dumps({"const": kind}) in text
     robot = schema["properties"]["robots"]["additionalProperties"]["properties"]
-    assert robot["velocity_limits"]["description"] == "velocity limits (n,), rad/s or m/s."
+    assert robot["velocity_limits"]["description"] == "velocity limits, shape (n,), rad/s or m/s."
     assert "model" in robot and "name" not in robot
 
 

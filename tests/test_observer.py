@@ -119,6 +119,6 @@ def test_observer_gains_apply_per_joint() -> None:
 
 def test_invalid_observer_gains_are_rejected() -> None:
     model = lwr_model()
-    reason, expected = "joint A2 has an observer gain of", "a positive one, 1/s"
+    reason, expected = "joint A2 has an observer gain of", "a positive gain, 1/s"
     with raises_with(reason=reason, found=0.0, expected=expected):
         MomentumObserver(model, np.array([1, 0, 1, 1, 1, 1, 1.0]), STEP)

@@ -131,7 +131,7 @@ def test_scene_without_a_camera_is_rejected(overlay: Any) -> None:
 
 
 def test_size_must_be_positive_and_a_click_needs_a_frame(overlay: Any) -> None:
-    with raises_with(UsageError, key="size", reason="found 0 x 480", expected="pixels above 0"):
+    with raises_with(UsageError, key="size", reason="found 0 x 480", expected="a size above 0"):
         overlay.draw(scene_of(overlay), size=(0, 480))
     with raises_with(UsageError, reason="nothing has been drawn yet: call draw or image first"):
         overlay.click(10, 10)
@@ -160,7 +160,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
         key="model",
         reason="found str",
         expected=(
-            "a compiled mujoco.MjModel, as of mujoco.MjModel.from_xml_path, or an "
+            "a compiled mujoco.MjModel, for example from mujoco.MjModel.from_xml_path, an "
             "MjSpec or a PyMJCF model"
         ),
     ):
@@ -175,7 +175,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
         key="data",
         reason="found data of a model with nq =",
         found=1,
-        expected="11: mujoco.MjData(model) of the same model",
+        expected="11, as in mujoco.MjData(model)",
     ):
         sero_mj.overlay(model, other)
     hinge, _ = compiled(XML.format("<joint/>"))
@@ -184,7 +184,7 @@ def test_model_and_data_must_be_mujoco_objects_of_the_same_model() -> None:
         UsageError,
         key="data",
         reason="found data of a model with another jnt_type",
-        expected="mujoco.MjData(model) of the same model",
+        expected="data of the same model, created with mujoco.MjData(model)",
     ):
         sero_mj.overlay(hinge, slide)
     sero_mj.overlay(model, mujoco.MjData(copy.copy(model)))  # an equal copy is accepted
@@ -244,7 +244,9 @@ def test_unknown_names_are_rejected(
 
 
 def test_joint_angles_cannot_be_set_on_an_overlay(overlay: Any) -> None:
-    message = r"^arm\.joint_angles: the joint angles of arm come from your data; set data\.qpos$"
+    message = (
+        r"^arm\.joint_angles: the joint angles of arm come from your data. Set data\.qpos instead$"
+    )
     with pytest.raises(ValueError, match=message):
         overlay.set("arm.joint_angles", [0] * 4)
 

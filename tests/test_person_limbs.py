@@ -54,12 +54,15 @@ def test_user_of_the_haptic_device_holds_both_handles() -> None:
 @pytest.mark.parametrize(
     ("keys", "problem"),
     [
-        ({"shape": "limb", "size": [0.3, 0.3, 0.05, 0.04]}, "reaches: found none; expected a"),
+        (
+            {"shape": "limb", "size": [0.3, 0.3, 0.05, 0.04]},
+            "reaches: found none; expected the frame",
+        ),
         ({"shape": "box", "size": [1, 1, 1], "reaches": "lwr/flange"}, "reaches: found lwr/fl"),
         ({"shape": "limb", "size": [0.3, 0.3], "reaches": "lwr/flange"}, "size of a limb: found"),
         (
             {"shape": "limb", "size": [0.3, 0.3, 0.05, 0.04], "reaches": "lwr/base", "mass": 1.0},
-            "mass: found 1 for limb; expected another shape",
+            "mass: found 1 for limb; expected a solid shape",
         ),
     ],
 )

@@ -166,7 +166,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             "[arrows.lwr]\nat = [0, 0, 1]",
-            "s.toml:6: arrows.lwr: a robot has this name; expected another one",
+            "s.toml:6: arrows.lwr: a robot already has this name; expected a different name",
         ),
         (
             '[frames.t]\nrelative_to = "lwr/link9"',
@@ -176,7 +176,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ("[toggles]\nlegnd = true", "s.toml:7: toggles.legnd: unknown key; did you mean 'legend'?"),
         (
             '[frames.toggles]\nrelative_to = "world"',
-            "s.toml:6: frames.toggles: this name is reserved in routes; expected another one",
+            "s.toml:6: frames.toggles: this name is reserved in routes; expected a different name",
         ),
     ],
 )

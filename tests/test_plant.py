@@ -459,9 +459,9 @@ def test_invalid_plants_and_payloads_are_rejected():
     with pytest.raises(ValueError, match=r"expected World\(scene, dynamic=True\)$"):
         Plant(world)
     world = World(Scene(robots=[make_lwr()]), dynamic=True)
-    with raises_with(key="timestep", found=0.0, expected="more than 0, below 1"):
+    with raises_with(key="timestep", found=0.0, expected="more than 0 and less than 1 s"):
         Plant(world, timestep=0.0)
-    with raises_with(reason="found sensors of", found=6, expected=7):
+    with raises_with(reason="found sensors of", found=6, expected="7 joints"):
         Plant(world, Sensors(6))
     plant = Plant(world)
     with raises_with(key="joint_angles", found=6):
@@ -475,8 +475,8 @@ def test_invalid_plants_and_payloads_are_rejected():
     with raises_with(
         key="payload of lwr",
         reason=(
-            "found principal moments 1, 1, 5 kg m2; expected the largest to be at most "
-            "the sum of the others, 2 (a tensor about the centre of mass?)"
+            "found principal moments 1, 1, 5 kg m2; expected the largest moment to be at "
+            "most the sum of the other two, 2. Is the tensor about the center of mass?"
         ),
     ):
         plant.attach_payload("lwr", 1.0, inertia=[1, 1, 5, 0, 0, 0])

@@ -137,7 +137,7 @@ def test_saved_pushes_repeat_the_run_bit_for_bit(tmp_path: Path) -> None:
 
 def test_invalid_saves_and_grabs_are_rejected(tmp_path: Path) -> None:
     simulation = pushed()
-    with raises_with(UsageError, reason="there are no pushes to save: drag a link with Ctrl held"):
+    with raises_with(UsageError, reason="there are no pushes to save. Hold Ctrl and drag a link"):
         save_pushes(simulation, tmp_path)
     assert simulation.drag_force is not None
     with raises_with(UsageError, reason="lwr/base cannot be pulled: it has no degree of freedom"):
@@ -255,7 +255,7 @@ def test_item_under_the_pointer_is_grabbed_or_the_reason_reported() -> None:
         assert not (pulling.is_on or toggles.cards[card])
         text, is_bad = pulling.grab(at)  # type: ignore[misc]
         assert is_bad
-        assert text == "the past cannot be changed: continue at 0.20 s, the current time"
+        assert text == "the past cannot be changed. Return to the current time, 0.20 s"
 
 
 @pytest.mark.gl

@@ -15,6 +15,7 @@ from sero_mj.robots.declared.surroundings import Object
 from sero_mj.robots.importers.mesh_files import mesh_endings
 from sero_mj.robots.kinematics.dh import COLUMNS
 
+ORDERED = "a lower limit below the upper limit"
 TWO_JOINTS = [[0, 0, 0, 0.3], [0, 0.4, 0, 0]]
 
 
@@ -129,7 +130,8 @@ WRONG = [
      Problem("dh_convention", found="craigg", expected="'craig', 'standard' or 'none'",
              available=["craig"])),
     ({"dh_convention": "Modified"},
-     Problem("dh_convention", found="Modified", expected="'craig', its name here")),
+     Problem("dh_convention", found="Modified",
+             expected="'craig', the name of this convention in sero-mj")),
     ({"show_axis": True}, Problem("show_axis", "unknown key", available=["show_axes"])),
     ({"dh_params": [0, 0, 0]}, Problem("dh_params", "found 3; expected n x 4 numbers")),
     ({"dh_params": [[0, 0, 0]]}, Problem("dh_params", "found 1 x 3; expected n x 4 numbers")),
@@ -157,10 +159,10 @@ WRONG = [
                                         expected="1 to 200 printable characters"))
       for name in ("A1\n", " ", "j\u202e1")),
     ({"position_limits": [[1, -1]]},
-     Problem("position_limits", "row 1 is", found=[1.0, -1.0], expected="lower < upper")),
+     Problem("position_limits", "row 1 is", found=[1.0, -1.0], expected=ORDERED)),
     (
         {"dh_params": TWO_JOINTS, "position_limits": [-1, 1, 2, 2]},
-        Problem("position_limits", "row 2 is", found=[2.0, 2.0], expected="lower < upper"),
+        Problem("position_limits", "row 2 is", found=[2.0, 2.0], expected=ORDERED),
     ),
     ({"position_limits": [1, 2, 3]}, Problem("position_limits", "found 3; expected n x 2 numbers")),
     ({"velocity_limits": [-1]}, Problem("velocity_limits", found=[-1.0],
@@ -172,7 +174,7 @@ WRONG = [
                                       expected="finite numbers without NaN or inf")),
     ({"filenames": 5}, Problem("filenames", found=5, expected="list")),
     ({"filenames": ["", "", "a.stl"]},
-     Problem("filenames", found=3, of="entries", expected="2: the base and one per joint")),
+     Problem("filenames", found=3, of="entries", expected="2, one for the base and one per joint")),
     (
         {"filenames": ["", "../b.stl"]},
         Problem("filenames.1.0.file", found="../b.stl",
@@ -191,7 +193,7 @@ WRONG = [
     (
         {"filenames": ["", "b.doc"]},
         Problem("filenames.1.0.file", found="b.doc",
-                expected=f"a mesh ({', '.join(mesh_endings())})"),
+                expected=f"a mesh file ({', '.join(mesh_endings())})"),
     ),
     (
         {"filenames": ["", {"file": "b.stl", "colour": "red"}]},
@@ -343,7 +345,7 @@ def test_pose_in_degrees_is_converted_and_replaces_that_of_a_model():
         robot(joint_angles=[0], joint_angles_deg=[0])
     with raises_with(
         key="joint_angles_deg",
-        reason="joint_angles_deg is for revolute joints only; use joint_angles in rad, m",
+        reason="joint_angles_deg is for revolute joints only. Use joint_angles in rad and m",
     ):
         robot(joint_types=["prismatic"], joint_angles_deg=[0])
     with raises_with(key="joint_angles_deg", found=3):
@@ -352,7 +354,7 @@ def test_pose_in_degrees_is_converted_and_replaces_that_of_a_model():
 
 def test_limits_in_degrees_are_rejected_for_prismatic_joints():
     text = refusal(joint_types=["prismatic"], velocity_limits_deg=[1])
-    wanted = "velocity_limits_deg is for revolute joints only; use velocity_limits in rad, m"
+    wanted = "velocity_limits_deg is for revolute joints only. Use velocity_limits in rad and m"
     assert text.endswith(wanted)
 
 

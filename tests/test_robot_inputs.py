@@ -102,6 +102,6 @@ def test_overlay_robot_has_the_torques_of_the_model_until_they_are_set(overlay: 
     overlay.robot("goal").joint_angles = [0.1, 0.2, 0.3, 0.01]
     assert overlay.robot("goal").joint_angles.tolist() == [0.1, 0.2, 0.3, 0.01]
     with pytest.raises(
-        ValueError, match=r"the joint angles of arm come from your data; set data.qpos"
+        ValueError, match=r"the joint angles of arm come from your data. Set data.qpos instead"
     ):
         robot.joint_angles = np.zeros(4)

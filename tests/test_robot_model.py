@@ -109,7 +109,7 @@ def test_declared_robot_has_a_model() -> None:
 
 def test_invalid_joints_and_flanges_are_rejected() -> None:
     model, joints, flange = CACHE
-    with pytest.raises(ValueError, match=r"^found joints \[2, 1\]; expected those of one robot"):
+    with pytest.raises(ValueError, match=r"^found joints \[2, 1\]; expected the joints of one"):
         RobotModel(model, [2, 1], body=flange)
     with pytest.raises(ValueError, match=r"found joints \[\]"):
         RobotModel(model, [], body=flange)

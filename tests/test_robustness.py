@@ -77,10 +77,10 @@ def rows(memory: list[float], received: int, handles: int = 9) -> list[dict[str,
         ([100.0, 130.0, *[140.0] * 30], 1000, 9, []),  # initial growth of memory is not a leak
         (
             [100.0 + 10 * k for k in range(32)], 1000, 9,
-            ["memory grew by 2.11; expected at most 1.25"],
+            ["memory grew by a factor of 2.11; expected at most 1.25"],
         ),
         ([100.0] * 9, 990, 9, ["received 990 of 1000 packets; expected 99.9%"]),
-        ([100.0] * 9, 1000, 12, ["handles: 9 at first, 12 at last"]),
+        ([100.0] * 9, 1000, 12, ["handles: 9 at the start, 12 at the end"]),
     ],
 )  # fmt: skip
 def test_losses_leaks_and_growth_are_problems(

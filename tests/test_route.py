@@ -335,7 +335,7 @@ def test_one_mistake_causes_one_problem(
 def test_route_without_quotes_is_reported_with_its_line(tmp_path: Path) -> None:
     routes = '[routes]\n"arm.joint_angles" = "udp.values0"\narm.torques = "udp.values1"\n'
     (problem,) = problems_in(written(tmp_path, ROBOT + SOURCE + routes))
-    assert problem.endswith("; put quotes about the whole name")
+    assert problem.endswith("; put quotes around the whole name")
     assert problem.startswith("scene.toml:9: routes.arm")
 
 

@@ -143,7 +143,8 @@ def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
         (
             "[disturbances.push]\nkind='force'\nat='lwr/flange'\n",
             Problem(
-                "disturbances.push", "found neither force nor torque; expected three numbers of one"
+                "disturbances.push",
+                "found neither force nor torque; expected a vector for one of them",
             ),
         ),
         (
@@ -165,7 +166,7 @@ def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nmeasure='torque'\n",
-            Problem("expect.e.below", "is required", expected="below or above, a number"),
+            Problem("expect.e.below", "is required", expected="a bound below or above"),
         ),
         (
             "[expect.e]\nbelow=1\n",
@@ -402,7 +403,7 @@ def test_too_fast_motion_is_reported_with_its_peak_and_ramp() -> None:
                          "frequency": 0.19}}, duration=5.0,
     )  # fmt: skip
     assert "the target velocity of joint A1 is 1" in found and "expected up to 112.5 deg/s" in found
-    assert found.endswith("; only the ramp of 1 s exceeds it: try ramp = 2")
+    assert found.endswith("; only the ramp of 1 s exceeds it. Try ramp = 2")
 
 
 def test_early_end_of_a_run_fails_later_expectations() -> None:

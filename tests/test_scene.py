@@ -181,12 +181,12 @@ WRONG = {
     ],
     '[routes]\nlwr.torques = "udp.values0"\nx = true': [
         Problem("routes.lwr", found={'torques': 'udp.values0'},
-                expected=f"{EVENT}; put quotes about the whole name",
+                expected=f"{EVENT}; put quotes around the whole name",
                 file="s.toml", line=2),
         Problem("routes.x", found=True, expected=EVENT, file="s.toml", line=3),
     ],
-    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, expected="a robot's name",
-                                          file="s.toml", line=3)],
+    "[robots.arm]\n\nmodel = 5": [Problem("robots.arm.model", found=5, file="s.toml", line=3,
+                                          expected="the name of a robot")],
     "[robots.arm]\n\nmodel = 'lrw'": [
         Problem("robots.arm.model", "no robot model", found="lrw", available=["lwr"],
                 file="s.toml", line=3)
@@ -209,12 +209,12 @@ WRONG = {
                 available=["fovy_deg", "frame", "look_at", "position"], file="s.toml", line=3),
     ],
     "[cameras.a]\nposition = [1, 2, 3]\nlook_at = [1, 2, 3]": [
-        Problem("cameras.a.look_at", found=[1.0, 2.0, 3.0], expected="another point than position",
-                file="s.toml", line=3)
+        Problem("cameras.a.look_at", found=[1.0, 2.0, 3.0],
+                expected="a point that differs from position", file="s.toml", line=3)
     ],
     "[lights.a]\nposition = [0, 0, 1]\ndirection = [0, 0, 0]\ndiffuse = [5, 0, 0]": [
-        Problem("lights.a.direction", found=[0.0, 0.0, 0.0], expected="a direction", file="s.toml",
-                line=3),
+        Problem("lights.a.direction", found=[0.0, 0.0, 0.0],
+                expected="a nonzero vector", file="s.toml", line=3),
         Problem("lights.a.diffuse", found=[5.0, 0.0, 0.0], expected="three numbers from 0 to 1",
                 file="s.toml", line=4),
     ],
@@ -320,8 +320,8 @@ def test_overrides_replace_values_of_the_file_and_their_routes(read):
                                      available=["arm"], file="s.toml")),
         (ARM, "arm.torqes", Problem("robots.arm.torqes", "unknown key", available=["torques"],
                                     file="s.toml", line=1)),
-        (ARM, "arm", Problem("arm", "names no field", expected="robot.field, e.g. arm.joint_angles",
-                             file="s.toml")),
+        (ARM, "arm", Problem("arm", "the key has no field", file="s.toml", expected="the names of "
+                             "a robot and a field, such as arm.joint_angles")),
         ("x = 1", "arm.torques", Problem("arm.torques", "no robot", found="arm",
                                          of="to set this for", available=[], file="s.toml")),
         ("robots = 5", "arm.torques", Problem("arm.torques", "no robot", found="arm",

@@ -241,7 +241,7 @@ OTHER_UDP = {**UDP, "port": 4712}
             {"udp": UDP},
             {"structure": "q:6Q 2V"},
             "structure 'q:6Q 2V' has q, vectors0; the routes from 'udp' take values0, values1, "
-            "values2: there is nothing to send",
+            "values2, so there is nothing to send",
         ),
         (
             {"udp": UDP},

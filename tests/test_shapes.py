@@ -298,7 +298,7 @@ def test_object_fields_are_checked():
             {"shape": "capsule", "size": [1]},
             Problem(
                 reason="size of a capsule: found [1.0]; expected positive radius, length "
-                "between the two centres in m"
+                "between the centers of the half spheres in m"
             ),
         ),
         (
@@ -314,7 +314,7 @@ def test_object_fields_are_checked():
             Problem(
                 "mesh",
                 found="a.doc",
-                expected=f"a mesh ({', '.join(mesh_endings())})",
+                expected=f"a mesh file ({', '.join(mesh_endings())})",
             ),
         ),
     ],

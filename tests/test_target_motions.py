@@ -269,7 +269,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [-1]},
-            Problem("times", found=[-1.0], expected="times from 0 s on"),
+            Problem("times", found=[-1.0], expected="times of at least 0 s"),
         ),
         (
             {
@@ -296,7 +296,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         (
             {"kind": "step", "amplitude": [1, 2]},
             Problem(
-                "amplitude", found=2, of="entries", expected="3, one per joint, or one for all"
+                "amplitude", found=2, of="entries", expected="3 (one per joint) or 1 (for all)"
             ),
         ),
         (

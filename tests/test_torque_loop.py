@@ -223,8 +223,8 @@ def test_joint_stiffness_acts_at_the_links_of_elastic_joints() -> None:
 def test_springs_as_stiff_as_the_elastic_joints_are_rejected() -> None:
     found = problems({**SOFT, "stiffness": 4500.0}, True)
     assert (
-        "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, 80 % of "
-        "the elastic joint's" in found
+        "controllers.lwr.stiffness: joint A4: found 4500 Nm/rad; expected at most 4000, which is "
+        "80 % of the stiffness of the elastic joint" in found
     )
     assert "joint A3" not in found
 
@@ -464,7 +464,7 @@ def test_torque_control_of_a_robot_file_is_checked(elastic: bool) -> None:
     found = problems(SOFT, elastic, torque_control={"motor_inertias": [4.0] + [0.1] * 6})
     assert "robots.lwr.torque_control.motor_inertias: joint 1: found 4" in found
     with raises_with(
-        key="torque_control.motor_inertias", found=2, expected="7: one per row of dh_params"
+        key="torque_control.motor_inertias", found=2, expected="7, one per row of dh_params"
     ):
         SerialRobot.from_model("lwr", torque_control={"motor_inertias": [1.0, 1.0]})
     with raises_with(

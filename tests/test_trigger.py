@@ -174,9 +174,9 @@ def test_missing_data_satisfies_nothing_and_other_sources_hold_their_values() ->
         ("lwr.torques[0][0] > 1", "is a single number, which has no index"),
         ("lwr.torques[1:3] > lwr.torques", "character 18: found '>', expected the same number on "
          "both sides; found 2 values and 7 values"),
-        ("abs(lwr.torques > 2) > 1", "expected numbers; use and, or to combine comparisons"),
+        ("abs(lwr.torques > 2) > 1", "expected numbers; combine comparisons with 'and' or 'or'"),
         ("lwr.torques and lwr.torques > 1", "expected a comparison such as lwr.torques > 20"),
-        ("any(lwr.torques) > 1", "expected numbers; use and, or to combine comparisons"),
+        ("any(lwr.torques) > 1", "expected numbers; combine comparisons with 'and' or 'or'"),
         ("any(lwr.torques)", "expected a comparison such as lwr.torques > 20"),
         ("lwr.torques % 2 > 1", "character 13: found '%', expected +, -, * or /"),
         ("", "character 1: found the end"),

@@ -371,7 +371,7 @@ def test_all_errors_are_reported_at_once_with_lines(tmp_path: Path) -> None:
         'robot.urdf:6: link: has no name; expected name="..."',
         "robot.urdf:7: joint 'j1': found type 'revolut'; did you mean 'revolute'?",
         "robot.urdf:8: joint 'j2': <child>: no link 'bb'; did you mean 'b'?",
-        "robot.urdf:11: joint 'j3': <axis>: found 0 0 0; expected a direction",
+        "robot.urdf:11: joint 'j3': <axis>: found 0 0 0; expected a nonzero vector",
         "robot.urdf:12: joint 'j3': <limit>: found velocity = -1; expected 0 or more",
         "robot.urdf:13: joint 'j4': has no <parent link=\"...\">",
         "robot.urdf:13: joint 'j4': <origin>: found xyz = '0 0'; expected 3 numbers",

@@ -154,7 +154,7 @@ def test_second_viewer_replaces_the_first_and_a_dead_one_does_not_stop_the_loop(
     for _ in range(100):
         again.set("lwr.torques", np.ones(7))
         assert not again.sync()
-    with pytest.raises(RenderError, match="no image: the viewer is closed"):
+    with pytest.raises(RenderError, match="cannot render an image: the viewer is closed"):
         again.image()
     again.close()
     (record,) = caplog.records

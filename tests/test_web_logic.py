@@ -21,7 +21,7 @@ from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.panels import labels_at
 from sero_mj.viewer.session.keys import help_columns
 from sero_mj.viewer.session.tool import tool_keys
-from sero_mj.viewer.web.page_state import card_lines
+from sero_mj.viewer.web.page_state import billboard_lines
 from sero_mj.viewer.web.server import check_address, page_url
 
 
@@ -62,13 +62,13 @@ def test_panels_stay_clear_of_what_the_host_covers() -> None:
 
 
 def test_billboard_text_is_split_into_title_values_and_labels() -> None:
-    assert card_lines([b"A1      12.3 Nm"]) == ("A1", [["", "12.3 Nm"]])
-    assert card_lines([b"A1  cmd     1.2 Nm", b"    msr  no data"]) == (
+    assert billboard_lines([b"A1      12.3 Nm"]) == ("A1", [["", "12.3 Nm"]])
+    assert billboard_lines([b"A1  cmd     1.2 Nm", b"    msr  no data"]) == (
         "A1",
         [["cmd", "1.2 Nm"], ["msr", "no data"]],
     )
-    assert card_lines([b"push: force", b"x   3.0 N"]) == ("push: force", [["x", "3.0 N"]])
-    assert card_lines([b"hot"]) == ("", [["", "hot"]])
+    assert billboard_lines([b"push: force", b"x   3.0 N"]) == ("push: force", [["x", "3.0 N"]])
+    assert billboard_lines([b"hot"]) == ("", [["", "hot"]])
 
 
 def test_page_addresses_are_valid_for_browsers() -> None:

@@ -22,7 +22,7 @@ from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.render import HeadlessRenderer
 from sero_mj.viewer.player.capture import Mark, capture
 from sero_mj.viewer.player.page import write_page
-from sero_mj.viewer.web.page_state import card_lines
+from sero_mj.viewer.web.page_state import billboard_lines
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
@@ -139,7 +139,7 @@ def cards_of_image(scene: sero_mj.Scene, time: float) -> set[tuple[str, ...]]:
         texts = [
             text for each in decor.panels if each.kind == Kind.BILLBOARD for text in each.texts
         ]
-    cards = [card_lines(text) for text in texts]
+    cards = [billboard_lines(text) for text in texts]
     return {(title, *(word for line in lines for word in line)) for title, lines in cards}
 
 

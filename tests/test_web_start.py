@@ -376,7 +376,7 @@ def test_tile_and_dropped_folder_are_opened_in_a_browser(
             page.wait_for_function("() => globalThis.player?.state && drops.may()", timeout=60_000)
             assert page.title() == "scara - sero-mj"
             page.evaluate(_DROP, {"r/notes.txt": ""})
-            page.wait_for_function("() => drops.told.startsWith('found notes.txt; expected a')")
+            page.wait_for_function("() => drops.text.startsWith('found notes.txt; expected a')")
             mesh = trimesh.creation.box((0.1, 0.1, 0.3)).export(file_type="stl")
             files = {"r/pair.urdf": URDF.encode(), "r/meshes/arm.stl": mesh}
             encoded = {path: base64.b64encode(data).decode() for path, data in files.items()}

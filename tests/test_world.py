@@ -257,7 +257,7 @@ def test_invalid_mjcf_argument_is_rejected_with_its_type():
     with raises_with(
         key="mjcf",
         reason=(
-            "found dict; expected a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF "
+            "found dict; expected a file name, MJCF text, a mujoco.MjSpec, a PyMJCF "
             "RootElement or a composer entity"
         ),
     ):

@@ -18,12 +18,12 @@ from PIL import Image
 POSE = "lwr.joint_angles=0,0.6,0,-1.2,0,0.8,0"
 TORQUES = "lwr.torques=20,60,-30,40,-9,5,3"
 FEW = 60  # minimum number of pixels of an arrow
-SIZE = (560, 400)  # small: software renders a few such images per second
-_SCALE = 0.5  # pixels of pictures by those of pages, likewise
+SIZE = (560, 400)  # small, because software rendering is slow
+_SCALE = 0.5  # ratio of image pixels to page pixels
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 MISSING = ["chromium"] * (CHROMIUM is None)
 MISSING += ["playwright"] * (importlib.util.find_spec("playwright") is None)
-# A browser that draws without a GPU and resolves the websites of tests.
+# Arguments of a browser that draws without a GPU and resolves the websites of tests.
 ARGUMENTS = [
     "--use-gl=angle",
     "--use-angle=swiftshader",
@@ -87,18 +87,18 @@ class Served(Driver):
 
 
 class Visitor:
-    """A browser's page that looks at a `Served`.
+    """A browser page that shows a `Served`.
 
     Args:
-        browser: Playwright's.
-        served: the page.
-        size: of the page, pixels; below a width of 800 its panel is closed at first.
-        view: of a link, see `ViewState.to_text`.
-        **options: of Playwright's pages.
+        browser: browser of Playwright.
+        served: served page.
+        size: size of the page, pixels. If the width is below 800, the panel is initially closed.
+        view: view in the link, from `ViewState.to_text`.
+        **options: options of pages in Playwright.
 
     Attributes:
-        page: Playwright's.
-        faults: errors that it has told on its console.
+        page: page of Playwright.
+        faults: errors on the console of the page.
     """
 
     def __init__(
@@ -157,7 +157,7 @@ class Visitor:
         return x, y
 
     def finger(self, x: float, y: float) -> Callable[..., None]:
-        """Touches a page: the kind of event, and how far each finger is to the right of a pixel."""
+        """Returns a function that touches a page with fingers at distances right of a pixel."""
         send = self.page.context.new_cdp_session(self.page).send
 
         def touch(kind: str, *offsets: float) -> None:
@@ -167,7 +167,7 @@ class Visitor:
         return touch
 
     def picture(self) -> NDArray[np.int16]:
-        """Returns the visible image, (height / 2, width / 2, 3)."""
+        """Returns the visible image, shape (height / 2, width / 2, 3)."""
         png = self.page.screenshot(timeout=60_000)
         return np.asarray(Image.open(io.BytesIO(png)).convert("RGB"), np.int16)
 
@@ -178,23 +178,23 @@ class Visitor:
             assert time.monotonic() < end, f"never seen: {what}; {self.faults[-5:]}"
 
     def close(self) -> None:
-        """Leaves the page, on which no error may have occurred."""
+        """Closes the page and checks that no error has occurred."""
         self.page.close()
         assert self.faults == []
 
 
 def orange(pixels: NDArray[np.int16]) -> int:
-    """Returns how many pixels of the page have the color of positive arrows."""
+    """Returns the number of page pixels with the color of positive arrows."""
     red, green, blue = pixels[..., 0], pixels[..., 1], pixels[..., 2]
     return on_page((red > 170) & (green > 60) & (green < 150) & (blue < 60))
 
 
 def blue(pixels: NDArray[np.int16]) -> int:
-    """Returns how many pixels of the page have the color of negative arrows."""
+    """Returns the number of page pixels with the color of negative arrows."""
     red, green, blue_ = pixels[..., 0], pixels[..., 1], pixels[..., 2]
     return on_page((blue_ > 120) & (red < 60) & (green < 110))
 
 
 def on_page(mask: NDArray[np.bool_]) -> int:
-    """Returns how many pixels of the page correspond to those of an image."""
+    """Returns the number of page pixels that correspond to the pixels of an image mask."""
     return round(mask.sum() / _SCALE**2)

@@ -18,8 +18,8 @@ from sero_mj.viewer.session.input import DOUBLE_CLICK_TIME
 SIZE = (640, 480)
 MISSING = [tool for tool in ("Xvfb", "xdotool") if shutil.which(tool) is None]
 
-# Shows frames, and answers questions about the window on its standard input. Of frames that are not
-# used, every sixth is drawn, in draft quality: software needs 80 ms of CPU time for a full one.
+# Shows frames, and evaluates expressions about the window from its standard input. Only every
+# sixth unused frame is drawn, in draft quality, because software takes 80 ms for a full frame.
 _DRIVER = """
 import os
 os.environ["MUJOCO_GL"] = "glfw"
@@ -144,7 +144,7 @@ class Driven(Driver):
         self.settle()
 
     def middle(self, label: str) -> tuple[float, float]:
-        """Where a widget of the panel is, by its label, from the upper left corner."""
+        """Returns the center of a panel widget by label, relative to the upper left corner."""
         left, top, right, bottom = self.until(f"places.get({label!r})")
         return (left + right) / 2, (top + bottom) / 2
 

@@ -1,9 +1,9 @@
-"""A router of zenoh and a publisher as rmw_zenoh has them: `python zenoh_peer.py PORT [MODE]`.
+"""A zenoh router and publisher that behave like rmw_zenoh: `python zenoh_peer.py PORT [MODE]`.
 
-A line of JSON in, a line out: `topic` and `kind` (in `domain`) declare a publisher with its token
-of liveliness; `silent` leaves the token out; `kept` makes it keep its last message; with `wait` it
-waits until somebody reads; `data` (hexadecimal) publishes; with `rate` it publishes `count`
-messages whose stamp, 8 bytes at 4 of `data`, is the time at which they are sent.
+It answers each line of JSON with a line. `topic` and `kind` (in `domain`) declare a publisher with
+its liveliness token. `silent` omits the token. `kept` stores the last message for later readers.
+`wait` waits until there is a reader. `data` (hexadecimal) publishes a message. `rate` publishes
+`count` messages with their send time in bytes 4 to 11 of `data`.
 """
 
 from __future__ import annotations

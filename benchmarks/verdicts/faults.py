@@ -320,7 +320,7 @@ def drive_delay(p: Plant, j: int) -> Any:
     return lambda s, u: s.past[max(len(s.past) - 1 - rows, 0)][j]
 
 
-@at_joint(drive, loaded)
+@at_joint(drive, loaded, ("saturation", "drive"))
 def drive_saturated(p: Plant, j: int) -> Any:
     mean, spread = (each[j] for each in p.loads())
     level = p.rng.uniform(0.75, 0.95) * (abs(mean) + 1.8 * spread + p.robot.coulomb[j])
@@ -346,18 +346,18 @@ def torque_ripple(p: Plant, j: int) -> Any:
     return lambda s, u: u + size * np.sin(count * s.q[j] + phase)
 
 
-@kind
+@named
 def no_gravity_compensation(p: Plant) -> Truth:
     start = begin(p)
     p.drive.append(lambda s, u: u - s.gravity if s.t > start else u)
-    return everywhere(p)
+    return everywhere(p, ("commands", "gravity compensation", "drive"))
 
 
-@kind
+@named
 def motor_inertia(p: Plant) -> Truth:
     j = any_joint(p)
     p.motor_inertias[j] *= p.rng.choice([0.4, 0.5, 1.8, 2.2])
-    return at(p, j)
+    return at(p, j, ("motor inertia", "drive"))
 
 
 # Friction. All of these are friction, but not all are constant during the run.
@@ -377,12 +377,12 @@ def friction_less(p: Plant) -> Truth:
     return at(p, j, FRICTION)
 
 
-@at_joint(friction, any_joint, FRICTION)
+@at_joint(friction, any_joint, FRICTION, ("friction drift", "joint"))
 def friction_warming(p: Plant, j: int) -> Any:
     return lambda s: 1.5 * s.t / p.duration
 
 
-@at_joint(friction, loaded, FRICTION)
+@at_joint(friction, loaded, FRICTION, ("load friction", "joint"))
 def friction_of_load(p: Plant, j: int) -> Any:
     usual = max(np.hypot(*p.loads())[j], 0.1 * p.robot.limits[j])  # at most 0.25 Nm per Nm
     return lambda s: abs(s.torques[j]) / usual
@@ -410,26 +410,26 @@ def brake_closed(p: Plant) -> Truth:
 # Springs. With play, the angle of the link differs from that of the encoder.
 
 
-@kind
+@named
 def backlash(p: Plant) -> Truth:
     j = elbow(p)
     p.play = (j, 50.0 * p.robot.limits[j], np.deg2rad(p.rng.uniform(0.5, 1.2)))
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[j], "backlash", "joint"))
 
 
-@kind
+@named
 def elastic_joint(p: Plant) -> Truth:
     j = int(p.rng.choice([1, 3]))
     p.play = (j, p.rng.uniform(4.0, 10.0) * p.robot.limits[j], 0.0)
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[j], "elasticity", "joint"))
 
 
-@kind
+@named
 def cable_spring(p: Plant) -> Truth:
     j, center = any_joint(p), p.rng.uniform(-0.2, 0.2)
     size = p.rng.uniform(0.05, 0.15) * p.robot.limits[j]
     p.links.append(lambda s: only(p, j, -size * np.tanh(2.0 * (s.q[j] - p.start[j] - center))))
-    return at(p, j)
+    return at(p, j, ("spring", "joint"))
 
 
 # Encoders
@@ -448,7 +448,8 @@ def encoder_eccentric(p: Plant) -> Truth:
     phase = p.rng.choice([0.0, np.pi]) + p.rng.uniform(0.5, 1.2) - p.start[j]
     encoder(p, j, lambda q: q + size * np.sin(q + phase))
     # In a range of 30 degrees, this is an offset that changes by about half.
-    return everywhere(p, (p.robot.joints[j], "encoder", "encoder"))
+    name = p.robot.joints[j]
+    return everywhere(p, (name, "encoder", "encoder"), (name, "encoder scale", "encoder"))
 
 
 @kind
@@ -457,11 +458,12 @@ def encoder_quantized(p: Plant) -> Truth:
     return everywhere(p)
 
 
-@kind
+@named
 def gear_ratio(p: Plant) -> Truth:
     j, ratio = elbow(p), p.rng.choice([0.9, 1.1, 1.25])
     encoder(p, j, lambda q: ratio * q)
-    return everywhere(p)
+    name = p.robot.joints[j]
+    return everywhere(p, (name, "encoder scale", "encoder"), (name, "scale", "angles"))
 
 
 # Links, base and forces
@@ -517,14 +519,14 @@ def masses(p: Plant) -> Truth:
 # The mass of a link near the flange would be like a payload, so only links 3 and 4 change.
 
 
-@kind
+@named
 def link_mass(p: Plant) -> Truth:
     link, share = p.rng.integers(2, 4), p.rng.choice([0.6, 1.4, 1.7])
     p.edits.append(lambda spec: _scale(_bodies(p, spec)[link], share))
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[link], "link mass", "link"))
 
 
-@kind
+@named
 def link_center(p: Plant) -> Truth:
     link, shift = p.rng.integers(2, 4), p.rng.normal(size=3)
     shift *= p.rng.uniform(0.03, 0.06) / np.linalg.norm(shift)
@@ -534,15 +536,15 @@ def link_center(p: Plant) -> Truth:
         body.ipos = np.array(body.ipos) + shift
 
     p.edits.append(move)
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[link], "link center", "link"))
 
 
-@kind
+@named
 def tilted_base(p: Plant) -> Truth:
     tilt, heading = np.deg2rad(p.rng.uniform(3.0, 8.0)), p.rng.uniform(0.0, 2.0 * np.pi)
     up = np.array([*np.sin(tilt) * np.array([np.cos(heading), np.sin(heading)]), np.cos(tilt)])
     p.edits.append(lambda spec: setattr(spec.option, "gravity", -9.81 * up))
-    return everywhere(p)
+    return everywhere(p, ("base", "tilt", "base"))
 
 
 def _push(p: Plant, strength: Callable[[float], float]) -> Truth:
@@ -550,18 +552,19 @@ def _push(p: Plant, strength: Callable[[float], float]) -> Truth:
     heading = p.rng.uniform(0.0, 2.0 * np.pi)
     direction = np.array([np.cos(heading), np.sin(heading), p.rng.uniform(-0.4, 0.4)])
     force = p.rng.uniform(0.08, 0.2) * p.robot.limits[1] * direction
-    body = _bodies(p, p.robot.spec())[p.rng.integers(3, 7)]
+    link = p.rng.integers(3, 7)
+    body = _bodies(p, p.robot.spec())[link]
     p.pushes.append((body.name, lambda t: force * strength(t)))
-    return everywhere(p)
+    return everywhere(p, (p.robot.joints[link], "force", "link"))
 
 
-@kind
+@named
 def contact(p: Plant) -> Truth:
     start, length = p.rng.uniform(1.5, 4.0), p.rng.uniform(0.8, 2.0)
     return _push(p, lambda t: np.sin(np.pi * np.clip((t - start) / length, 0.0, 1.0)) ** 2)
 
 
-@kind
+@named
 def external_force(p: Plant) -> Truth:
     return _push(p, lambda t: 1.0)
 
@@ -581,10 +584,11 @@ def _swap(p: Plant, signal: str) -> list[int]:
     return pair
 
 
-@kind
+@named
 def log_angle_sign(p: Plant) -> Truth:
-    _flip(p, any_joint(p), "angles")
-    return everywhere(p)
+    j = any_joint(p)
+    _flip(p, j, "angles")
+    return everywhere(p, (p.robot.joints[j], "sign", "angles"))
 
 
 @named
@@ -601,26 +605,26 @@ def log_command_sign(p: Plant) -> Truth:
     return at(p, j, ("sign", DRIVE))  # the log is that of a drive with a wrong sign
 
 
-@kind
+@named
 def log_torques_swapped(p: Plant) -> Truth:
-    return at(p, _swap(p, "torques"))
+    return at(p, _swap(p, "torques"), ("swap", "measured torques"))
 
 
-@kind
+@named
 def log_angles_swapped(p: Plant) -> Truth:
-    _swap(p, "angles")
-    return everywhere(p)
+    pair = _swap(p, "angles")
+    return everywhere(p, *((p.robot.joints[j], "swap", "angles") for j in pair))
 
 
-@kind
+@named
 def log_commands_swapped(p: Plant) -> Truth:
-    return at(p, _swap(p, "commands"))
+    return at(p, _swap(p, "commands"), ("swap", "commanded torques"))
 
 
-@kind
+@named
 def log_degrees(p: Plant) -> Truth:
     on_log(p, "angles", lambda t, x: np.rad2deg(x))
-    return everywhere(p)
+    return everywhere(p, ("all joints", "scale", "angles"))
 
 
 @named
@@ -631,18 +635,18 @@ def log_torques_late(p: Plant) -> Truth:
     return everywhere(p, *((name, "delay", SENSOR) for name in p.robot.joints))
 
 
-@kind
+@named
 def log_angles_late(p: Plant) -> Truth:
     delay = p.rng.uniform(0.03, 0.06)
     on_log(p, "angles", lambda t, x: late(t, x, delay))
-    return everywhere(p)
+    return everywhere(p, ("all joints", "delay", "angles"))
 
 
-@kind
+@named
 def log_clock_drift(p: Plant) -> Truth:
     rate = signed(p, 0.005, 0.015)  # up to 0.1 s at the end
     on_log(p, "commands", lambda t, x: late(t, x, rate * t))
-    return everywhere(p)
+    return everywhere(p, ("commands", "clock", "commands"))
 
 
 @kind

@@ -1,4 +1,4 @@
-"""`measure`: simulates a run with a fault, lets the product analyze it, and judges its verdicts."""
+"""`measure`: simulates one run with a fault, and judges the verdicts of the product about it."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""Write the meshes of the DLR Biped's pelvis to ``meshes/``.
+"""Writes the meshes of the DLR Biped's pelvis to `meshes/`.
 
-A design of this project's own, in the language of the legs of ``models/biped_leg``, in metres. The
-frame is in the middle between the hips, x forward, y left, z up.
+An original design in the style of the legs in `models/biped_leg`, in meters. The frame is in the
+middle between the hips, with x forward, y left and z up.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from bodies import X, Y, Z, loft, write_links
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-HIPS = 0.10  # m, from the middle to each
+HIPS = 0.10  # distance from the middle to each hip, m
 
 
 def pelvis():
-    """Return the pelvis with its electronics, from the middle between the hips."""
+    """Returns the pelvis with the housing of its electronics."""
     beam = [
         (-HIPS - 0.066, 0.030, 0.050, 2.6, 0.152),
         (-HIPS, 0.042, 0.064, 3.0, 0.158),

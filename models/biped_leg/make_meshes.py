@@ -1,8 +1,8 @@
-"""Write the link meshes of a leg of the DLR Biped to ``meshes/``.
+"""Writes the link meshes of a leg of the DLR Biped to `meshes/`.
 
-A design of this project's own, made of drums and shells like the LWR, on whose joints the robot is
-built. Each part is in its link's modified Denavit-Hartenberg frame, in metres. In the zero pose the
-leg is straight: x of links 3 to 7 is down, z of links 3, 4, 5 and 7 to the left, that of link 6
+An original design of drums and shells like those of the LWR, whose joints the robot has. Each part
+is in the modified Denavit-Hartenberg frame of its link, in meters. In the zero pose, the leg is
+straight: x of links 3 to 7 is down, z of links 3, 4, 5 and 7 is to the left, and z of link 6 is
 forward.
 """
 
@@ -17,14 +17,14 @@ from bodies import X, Y, Z, drum, link_cap, loft, merge, revolve, write_links
 OUT = Path(__file__).resolve().parent / "meshes"
 
 THIGH = SHANK = 0.40  # m
-ANKLE = 0.09  # m, over the floor
-TOE = 0.10  # m, from the ankle forward to the toe's joint
-TOE_HEIGHT = 0.02  # m, of that joint over the floor
+ANKLE = 0.09  # height of the ankle above the floor, m
+TOE = 0.10  # distance from the ankle forward to the toe joint, m
+TOE_HEIGHT = 0.02  # height of the toe joint above the floor, m
 DOWN = (Y, Z, X)  # u backwards, v left, w down, in the frames of links 3 to 5
 
 
 def fork(radius: float, half: float, at: float, axis, origin=(0.0, 0.0, 0.0)):
-    """Return the two cheeks of a fork about ``axis``, with caps, metres."""
+    """Returns the two cheeks of a fork about `axis`, with caps, in meters."""
     shift = [axis * (side * at) for side in (-1, 1)]
     cheeks = [drum(radius, half, axis, origin + s, 0.3 * half) for s in shift]
     caps = [link_cap(0.62 * radius, at + half, side * axis, origin) for side in (-1, 1)]
@@ -32,13 +32,13 @@ def fork(radius: float, half: float, at: float, axis, origin=(0.0, 0.0, 0.0)):
 
 
 def base():
-    """Return the flange under the pelvis."""
+    """Returns the flange under the pelvis."""
     plate = [(0.062, 0.125), (0.062, 0.112), (0.056, 0.104), (0.056, 0.098)]
     return {"grey": [revolve(plate[::-1], sides=28)]}
 
 
 def hip_yaw():
-    """Return link 1: a column that turns, and the fork of the roll joint fore and aft."""
+    """Returns link 1: a rotating column, and the fork of the roll joint in front and behind."""
     column = [(0.058, 0.050, 0.056, 2.4), (0.078, 0.058, 0.058, 2.1), (0.097, 0.057, 0.057, 2.0)]
     bridge = [(0.030, 0.036, 0.080, 3.0), (0.066, 0.046, 0.070, 3.0)]
     own = {"white": [loft(column, edges=(0.006, 0.006)), loft(bridge, edges=(0.01, 0.01))]}
@@ -46,7 +46,7 @@ def hip_yaw():
 
 
 def hip_roll():
-    """Return link 2: the cross of roll and pitch."""
+    """Returns link 2: the cross of roll and pitch."""
     # x2 is up, y2 to the right, z2 forward.
     cross = [(-0.055, 0.030, 0.052, 3.0), (0.055, 0.030, 0.052, 3.0)]
     own = {"grey": [loft(cross, (X, Y, Z), edges=(0.008, 0.008)), drum(0.036, 0.057, Z)]}
@@ -54,7 +54,7 @@ def hip_roll():
 
 
 def thigh():
-    """Return link 3: the thigh, and the fork of the knee."""
+    """Returns link 3: the thigh, and the fork of the knee."""
     shell = [
         (0.000, 0.046, 0.044, 2.6, 0.000),
         (0.060, 0.060, 0.056, 2.6, -0.006),
@@ -74,7 +74,7 @@ def thigh():
 
 
 def shank():
-    """Return link 4: the shank, and the fork of the ankle."""
+    """Returns link 4: the shank, and the fork of the ankle."""
     shell = [
         (0.000, 0.040, 0.040, 2.6, 0.000),
         (0.060, 0.050, 0.046, 2.6, 0.004),
@@ -91,13 +91,13 @@ def shank():
 
 
 def ankle():
-    """Return link 5: the cross of the ankle's axes."""
+    """Returns link 5: the cross of the ankle's axes."""
     return {"grey": [drum(0.030, 0.037, Z, edge=0.004), drum(0.024, 0.050, Y, edge=0.004)]}
 
 
 def foot():
-    """Return link 6: the foot up to the toe's joint, with a dark sole; z is forward."""
-    back = -TOE  # of the ankle, seen from the toe's joint
+    """Returns link 6: the foot up to the toe joint, with a dark sole; z is forward."""
+    back = -TOE  # position of the ankle relative to the toe joint
     top = [
         (back - 0.072, 0.016, 0.036, 2.8, ANKLE - 0.030),
         (back - 0.040, 0.022, 0.044, 3.0, ANKLE - 0.034),
@@ -130,7 +130,7 @@ def foot():
 
 
 def toe():
-    """Return link 7: the toe; y is backward."""
+    """Returns link 7: the toe; y is backward."""
     forward = (X, Z, -Y)
     top = [
         (0.002, 0.011, 0.050, 3.4, -0.003),

@@ -1,9 +1,9 @@
-"""Write the meshes of a DLR Hand II finger and of the hand's palm to ``meshes/``.
+"""Writes the meshes of a DLR Hand II finger and of the hand's palm to `meshes/`.
 
-A design of this project's own in the hand's proportions: four equal fingers, larger than a man's.
-Parts of the finger are in their links' modified Denavit-Hartenberg frames, in metres: x along the
-finger, y of links 2 and 3 to where it bends, z sideways. The palm's frame is at the wrist: z
-towards the fingers, x out of the palm, y to the thumb's side of a right hand.
+An original design with the proportions of the hand: four equal fingers, larger than human fingers.
+Parts of the finger are in the modified Denavit-Hartenberg frames of their links, in meters: x along
+the finger, y of links 2 and 3 in the bending direction, z sideways. The frame of the palm is at the
+wrist: z toward the fingers, x out of the palm, y to the thumb side of a right hand.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from bodies import X, Y, Z, drum, limb, loft, write_links
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-PROXIMAL = 0.075  # m, from the knuckle to the middle joint
-MEDIAL, DISTAL, BEND = 0.040, 0.035, np.deg2rad(20.0)  # the last two move as one, bent a little
-ALONG = (Y, Z, X)  # u to where the finger bends, v sideways, w along the finger
+PROXIMAL = 0.075  # distance from the knuckle to the middle joint, m
+MEDIAL, DISTAL, BEND = 0.040, 0.035, np.deg2rad(20.0)  # the last two phalanges form one link
+ALONG = (Y, Z, X)  # u in the bending direction, v sideways, w along the finger
 
 
 def base():
-    """Return the housing of the finger's drives, in the palm."""
+    """Returns the housing of the finger drives in the palm."""
     block = [
         (-0.050, 0.0150, 0.0150, 3.2),
         (-0.030, 0.0165, 0.0160, 3.2),
@@ -34,12 +34,12 @@ def base():
 
 
 def knuckle():
-    """Return link 1: the cross of the two axes that meet in the knuckle."""
+    """Returns link 1: the cross of the two axes that meet in the knuckle."""
     return {"steel": [drum(0.0102, 0.0132, Z, edge=0.002), drum(0.0088, 0.0140, Y, edge=0.002)]}
 
 
 def proximal():
-    """Return link 2: a waisted shell, a dark pad on its inside, the drum of its joint."""
+    """Returns link 2: a waisted shell, a dark pad on its inside, the drum of its joint."""
     shell = [
         (0.006, 0.0120, 0.0118, 2.8),
         (0.026, 0.0136, 0.0130, 3.0),
@@ -55,7 +55,7 @@ def proximal():
 
 
 def fingertip():
-    """Return link 3: the last two phalanges, which move as one in this model."""
+    """Returns link 3: the last two phalanges, which are one link in this model."""
     medial = [
         (0.005, 0.0112, 0.0108, 2.8),
         (0.020, 0.0118, 0.0112, 3.0),
@@ -91,7 +91,7 @@ def fingertip():
 
 
 def palm():
-    """Return the palm of a right hand: wrist, shell, dark inside, the thumb's mount."""
+    """Returns the palm of a right hand: wrist, shell, dark inside, mount of the thumb."""
     upright = (X, Y, Z)
     shell = [
         (0.006, 0.034, 0.036, 2.3, -0.004, 0.000),

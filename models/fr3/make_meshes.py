@@ -1,16 +1,16 @@
-"""Write the link meshes of the Franka Research 3 to ``models/fr3/meshes/``.
+"""Writes the link meshes of the Franka Research 3 to `models/fr3/meshes/`.
 
-The shapes are this project's own design, drawn after published dimensions only: radii and places
-of the housings are those of the capsules of self-collision in franka_description (franka_arm.xacro
-of frankaemika/franka_ros, Apache-2.0): 60 mm up to the forearm, whose thin part has 25 mm at 80 mm
-aside, 50 mm at joint 6, 40 mm at joint 7; the flange is one of ISO 9409-1-50.  Seams are estimated.
-No Franka data of shapes is used.
+The shapes are an original design that uses only published dimensions. Radii and positions of the
+housings are those of the self-collision capsules in franka_description (franka_arm.xacro of
+frankaemika/franka_ros, Apache-2.0): 60 mm up to the forearm, 25 mm for its thin part, which is
+80 mm beside the axis, 50 mm at joint 6, and 40 mm at joint 7. The flange is that of ISO 9409-1-50.
+Seams are estimated. No shape data from Franka is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own modified
-Denavit-Hartenberg frame.  Links 1 to 4 are shells, see ``models/shells.py``; those of the elbow
-lean to its axis, 82.5 mm aside.
+One binary STL file is written per link and color, in meters, in the modified Denavit-Hartenberg
+frame of the link. Links 1 to 4 are shells, see `models/shells.py`. The shells of the elbow
+lean to its axis, which is 82.5 mm beside them.
 
-Run ``python models/fr3/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/fr3/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -41,11 +41,11 @@ from shells import BEVEL, DISC_GAP, SEAM_GAP, Shell, shell_mesh
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-TUBE = 0.060  # m, radius of the housings
-ELBOW = 0.0825  # m, from the elbow's axis to those of the tubes
-WRIST = 0.088  # m, from axis 6 to axis 7
-SEAM_1 = 0.140  # m, height above the floor
-SEAM_5 = 0.262  # m, below axis 6
+TUBE = 0.060  # radius of the housings, m
+ELBOW = 0.0825  # distance from the elbow axis to the axes of the tubes, m
+WRIST = 0.088  # distance from axis 6 to axis 7, m
+SEAM_1 = 0.140  # height of seam 1 above the floor, m
+SEAM_5 = 0.262  # distance of seam 5 below axis 6, m
 
 FINE = {"sides": 19, "turns": 18}
 SHOULDER_1 = Shell(
@@ -61,24 +61,24 @@ ELBOW_4 = Shell(
     0.122, TUBE, 0.060, DISC_GAP, 0.092, 0.024, (0.066, 0.116), (0.020, 0.112), 0.012, ELBOW, **FINE
 )
 
-DISC_6 = 0.050  # m, from axis 7 to the disc of joint 6, along its axis
-DRUM_6 = 0.050  # m, radius
-COVER_6 = 0.112  # m, outer face of the forearm's end, along the axis of joint 6
-DRUM_7 = 0.045  # m, radius of link 6 about axis 7
-SEAM_7 = 0.062  # m, along axis 7
-FLANGE = 0.107  # m, likewise
+DISC_6 = 0.050  # distance from axis 7 to the disc of joint 6 along axis 6, m
+DRUM_6 = 0.050  # radius of link 6 about axis 6, m
+COVER_6 = 0.112  # position of the outer face of the forearm end along axis 6, m
+DRUM_7 = 0.045  # radius of link 6 about axis 7, m
+SEAM_7 = 0.062  # position of seam 7 along axis 7, m
+FLANGE = 0.107  # position of the flange along axis 7, m
 
 Parts = dict[str, list[trimesh.Trimesh]]
 
 
 def cover(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> Parts:
-    """Return a dark joint cap at ``face`` along an axis through ``origin``, metres."""
+    """Returns a dark joint cap at `face` along an axis through `origin`, in meters."""
     (dome,) = cap(radius, face, axis)["grey"]
     return {"grey": [dome.apply_translation(np.asarray(origin))]}
 
 
 def base() -> Parts:
-    """Return link 0 in the world frame (metres): foot, body that reaches back, plugs, seam ring."""
+    """Returns link 0 in the world frame (meters): foot, body that extends back, plugs, ring."""
     body = [
         (0.006, 0.106, 0.094, 2.6, -0.036, 0.0),
         (0.034, 0.102, 0.088, 2.5, -0.033, 0.0),
@@ -100,7 +100,7 @@ def base() -> Parts:
 
 
 def links() -> dict[str, Parts]:
-    """Return every link's parts (metres, in the link's frame) by link name and colour."""
+    """Returns the parts of every link (meters, in the frame of the link) by link name and color."""
     out = {"base": base()}
     plan = [
         ("link1", SHOULDER_1, -Y, -Z, 0.0),
@@ -112,7 +112,7 @@ def links() -> dict[str, Parts]:
         out[name] = cover(shell.drum - shell.rim - 0.002, shell.outer, side, at * X)
         out[name]["white"] = [shell_mesh(shell, side, seam).apply_translation(at * X)]
         if name in ("link2", "link4"):
-            # The child carries the dark disc between two drums and the ring of its roll seam.
+            # The dark disc between two drums and the ring of a roll seam belong to the child link.
             ring = seam_ring(shell.tube - RING_INSET, shell.length, seam)
             aside = shell.offset * np.cross(side, seam)
             out[name]["grey"].append(seam_ring(shell.drum - RING_INSET, 0.0, side))
@@ -121,7 +121,7 @@ def links() -> dict[str, Parts]:
 
 
 def forearm() -> Parts:
-    """Return link 5 in its frame (metres): from the round housing to one side of the wrist."""
+    """Returns link 5 in its frame (meters): from the round housing to one side of the wrist."""
     stations = [
         (-SEAM_5 + SEAM_GAP, TUBE, TUBE, 2.0),
         (-0.232, TUBE, TUBE, 2.0, 0.0, 0.001),
@@ -142,7 +142,7 @@ def forearm() -> Parts:
 
 
 def wrist() -> Parts:
-    """Return link 6 in its frame (metres): drum about z6, bridge along x6, drum about axis 7."""
+    """Returns link 6 in its frame (meters): drum about z6, bridge along x6, drum about axis 7."""
     bridge = [
         (0.000, 0.046, 0.045, 2.6),
         (0.040, 0.044, 0.043, 2.6),
@@ -166,7 +166,7 @@ def wrist() -> Parts:
 
 
 def flange() -> Parts:
-    """Return link 7 in its frame (metres): collar with a nose of plugs aside, tool flange."""
+    """Returns link 7 in its frame (meters): collar with a nose of plugs aside, tool flange."""
     rim = [
         (DRUM_7 - BEVEL, SEAM_7 + SEAM_GAP),
         (DRUM_7, SEAM_7 + SEAM_GAP + BEVEL),

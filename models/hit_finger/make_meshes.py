@@ -1,9 +1,9 @@
-"""Write the meshes of a DLR/HIT Hand II finger and of the hand's palm to ``meshes/``.
+"""Writes the meshes of a DLR/HIT Hand II finger and of the hand's palm to `meshes/`.
 
-The joints are where eaa3/dlr_hit_hand_ii has them; the shapes are this project's own. Parts of the
-finger are in their links' modified Denavit-Hartenberg frames, in metres: x along the finger, y of
-links 2 to 4 to where it bends, z sideways. The palm's frame is at the wrist: z towards the fingers,
-x out of the palm, y to the thumb's side of a right hand.
+The joint positions are those of eaa3/dlr_hit_hand_ii. The shapes are an original design. Parts of
+the finger are in the modified Denavit-Hartenberg frames of their links, in meters: x along the
+finger, y of links 2 to 4 in the bending direction, z sideways. The frame of the palm is at the
+wrist: z toward the fingers, x out of the palm, y to the thumb side of a right hand.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from bodies import X, Y, Z, drum, limb, loft, write_links
 OUT = Path(__file__).resolve().parent / "meshes"
 
 PROXIMAL, MEDIAL, DISTAL = 0.055, 0.025, 0.025  # m
-ALONG = (Y, Z, X)  # u to where the finger bends, v sideways, w along the finger
+ALONG = (Y, Z, X)  # u in the bending direction, v sideways, w along the finger
 
 
 def base():
-    """Return the housing of the finger's drives, in the palm."""
+    """Returns the housing of the finger drives in the palm."""
     block = [
         (-0.034, 0.0105, 0.0105, 3.5),
         (-0.020, 0.0115, 0.0110, 3.5),
@@ -33,12 +33,12 @@ def base():
 
 
 def knuckle():
-    """Return link 1: the cross of the two axes that meet in the knuckle."""
+    """Returns link 1: the cross of the two axes that meet in the knuckle."""
     return {"steel": [drum(0.0072, 0.0092, Z, edge=0.002), drum(0.0062, 0.0098, Y, edge=0.002)]}
 
 
 def phalanx(length: float, start: float, stop: float):
-    """Return a phalanx: a waisted shell, a dark pad on its inside, the drum of its joint."""
+    """Returns a phalanx: a waisted shell, a dark pad on its inside, the drum of its joint."""
     shell = [
         (0.0045, 0.0085, 0.0082, 2.8),
         (0.35 * length, start, 0.95 * start, 3.0),
@@ -57,7 +57,7 @@ def phalanx(length: float, start: float, stop: float):
 
 
 def fingertip():
-    """Return link 4: a round fingertip with a soft pad."""
+    """Returns link 4: a round fingertip with a soft pad."""
     shell = [
         (0.004, 0.0080, 0.0078, 2.6),
         (0.012, 0.0084, 0.0080, 2.6),
@@ -80,7 +80,7 @@ def fingertip():
 
 
 def palm():
-    """Return the palm of a right hand: wrist, shell, dark inside, the thumb's mount."""
+    """Returns the palm of a right hand: wrist, shell, dark inside, mount of the thumb."""
     upright = (X, Y, Z)
     shell = [
         (0.004, 0.024, 0.027, 2.4, -0.004, 0.000),
@@ -99,8 +99,8 @@ def palm():
         (0.062, 0.004, 0.032, 3.2, -0.0275, 0.0),
         (0.084, 0.004, 0.034, 3.2, -0.0225, 0.0),
     ]
-    thumb = np.array([0.062569, 0.044545, 0.080045])  # its base (eaa3/dlr_hit_hand_ii)
-    direction = np.array([0.4557, 0.1047, 0.8840])  # of its drives' housing
+    thumb = np.array([0.062569, 0.044545, 0.080045])  # base of the thumb
+    direction = np.array([0.4557, 0.1047, 0.8840])  # direction of its housing
     foot = thumb - 0.024 * direction
     return {
         "white": [loft(shell, upright, edges=(0.004, 0.008), sides=36),

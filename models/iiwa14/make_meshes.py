@@ -1,14 +1,14 @@
-"""Write the link meshes of the KUKA LBR iiwa 14 R820 to ``models/iiwa14/meshes/``.
+"""Writes the link meshes of the KUKA LBR iiwa 14 R820 to `models/iiwa14/meshes/`.
 
-The shapes are this project's own design, drawn after published dimensions only: the roll seams
-stand where the joint origins of kroshu/kuka_robot_descriptions are (157.5, 204.5, 184.5 and 81 mm
-from base or axis), the flange is one of ISO 9409-1-50.  Radii are estimated.  No KUKA data is used.
+The shapes are an original design that uses only published dimensions. The roll seams are at the
+joint origins of kroshu/kuka_robot_descriptions (157.5, 204.5, 184.5 and 81 mm from base or axis),
+and the flange is that of ISO 9409-1-50. Radii are estimated. No data from KUKA is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own modified
-Denavit-Hartenberg frame.  The arm is the LWR's big brother: bodies of revolution, and five shells,
-see ``models/shells.py``.
+One binary STL file is written per link and color, in meters, in the modified Denavit-Hartenberg
+frame of the link. Like the LWR, the arm consists of bodies of revolution and five shells, see
+`models/shells.py`.
 
-Run ``python models/iiwa14/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/iiwa14/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -52,23 +52,23 @@ WRIST_5 = Shell(
     0.2155, 0.069, 0.056, 0.044, 0.083, 0.020, (0.046, 0.156), (0.034, 0.166), 0.024, **FINE
 )
 
-BALL = 0.068  # m, radius of link 6
-BALL_CUT = -0.042  # m, its flat towards link 5, along z6
-BALL_FACE = 0.054  # m, its flat under the cap
-NECK = 0.044  # m, radius of link 7
-SEAM_7 = 0.081  # m, from the wrist's centre
-FLANGE = 0.152  # m, likewise
+BALL = 0.068  # radius of link 6, m
+BALL_CUT = -0.042  # position along z6 of its flat face toward link 5, m
+BALL_FACE = 0.054  # position of its flat face under the cap, m
+NECK = 0.044  # radius of link 7, m
+SEAM_7 = 0.081  # distance of seam 7 from the wrist center, m
+FLANGE = 0.152  # distance of the flange from the wrist center, m
 
 Parts = dict[str, list[trimesh.Trimesh]]
 
 
 def base() -> Parts:
-    """Return link 0 in the world frame (metres): foot, flared shell, box of plugs, seam ring."""
+    """Returns link 0 in the world frame (meters): foot, flared shell, box of plugs, seam ring."""
     foot = [(0.116, 0.0), (0.116, 0.0145), (0.114, 0.0165), (0.095, 0.0170)]
     z = np.linspace(0.0, 1.0, 8) ** 1.2
     side = np.column_stack([0.0785 + 0.0295 * (1.0 - z) ** 2.6, 0.020 + z * 0.1345])
     shell = np.vstack([[(0.1065, 0.0145), (0.1080, 0.0160)], side, [(0.0775, 0.1560)]])
-    # Plugs leave the foot at the back.
+    # The plugs are at the back of the foot.
     box = [(-0.148, 0.054, 0.030, 5.0, 0.0, 0.042), (-0.060, 0.060, 0.036, 5.0, 0.0, 0.046)]
     plugs = [drum(0.011, 0.006, X, (-0.149, y, 0.044), 0.002) for y in (-0.028, 0.0, 0.028)]
     bolt = [(0.0055, 0.0150), (0.0055, 0.0200), (0.0046, 0.0210)]
@@ -86,7 +86,7 @@ def base() -> Parts:
 
 
 def links() -> dict[str, Parts]:
-    """Return every link's parts (metres, in the link's frame) by link name and colour."""
+    """Returns the parts of every link (meters, in the frame of the link) by link name and color."""
     out = {"base": base()}
     plan = [
         ("link1", SHOULDER_1, -Y, -Z),
@@ -99,7 +99,7 @@ def links() -> dict[str, Parts]:
         out[name] = shell_caps(cap(shell.drum - shell.rim - 0.002, shell.outer, side))
         out[name]["silver"].append(shell_mesh(shell, side, seam))
         if name in ("link2", "link4"):
-            # The child carries the dark disc between two drums and the ring of its roll seam.
+            # The dark disc between two drums and the ring of a roll seam belong to the child link.
             out[name]["grey"] = [
                 seam_ring(shell.drum - RING_INSET, 0.0, side),
                 seam_ring(shell.tube - RING_INSET, shell.length, seam),
@@ -111,12 +111,12 @@ def links() -> dict[str, Parts]:
 
 
 def shell_caps(parts: Parts) -> Parts:
-    """Return a cap whose dome has the colour of the shells."""
+    """Returns a cap whose dome has the color of the shells."""
     return recolour(parts, {"grey": "silver", "white": "silver"})
 
 
 def flange() -> Parts:
-    """Return link 7 in its frame (metres): the media flange with its light ring, tool flange."""
+    """Returns link 7 in its frame (meters): the media flange with its light ring, tool flange."""
     rim = [
         (NECK - 0.0008, SEAM_7 + 0.0015),
         (NECK, SEAM_7 + 0.0023),

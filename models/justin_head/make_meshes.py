@@ -1,8 +1,8 @@
-"""Write the link meshes of Justin's head to ``meshes/``.
+"""Writes the link meshes of Justin's head to `meshes/`.
 
-A design of this project's own: a rounded shell with a dark visor and two cameras, on a neck that
-turns and nods. Each part is in its link's modified Denavit-Hartenberg frame, in metres: z of the
-base and of link 1 is up; x of link 2 is forward, y down and z to the left.
+An original design: a rounded shell with a dark visor and two cameras, on a neck with a pan and a
+tilt joint. Each part is in the modified Denavit-Hartenberg frame of its link, in meters: z of the
+base and of link 1 is up; x of link 2 is forward, y is down and z is to the left.
 """
 
 from __future__ import annotations
@@ -16,25 +16,25 @@ from bodies import X, Y, Z, drum, link_cap, loft, merge, revolve, write_links
 OUT = Path(__file__).resolve().parent / "meshes"
 
 UPRIGHT = (X, Z, -Y)  # in the frame of link 2: u forward, v left, w up
-EYES = 0.105  # m, height of the cameras over the nod's axis
-EYE = 0.036  # m, from the middle to a camera
+EYES = 0.105  # height of the cameras above the tilt axis, m
+EYE = 0.036  # distance from the middle to a camera, m
 
 
 def base():
-    """Return the neck's foot."""
+    """Returns the foot of the neck."""
     return {"grey": [revolve([(0.050, 0.0), (0.050, 0.006), (0.044, 0.012), (0.040, 0.020)])]}
 
 
 def neck():
-    """Return link 1: the neck, and the fork of the nod's joint."""
+    """Returns link 1: the neck, and the fork of the tilt joint."""
     column = [(-0.045, 0.036, 0.036, 2.0), (-0.020, 0.034, 0.034, 2.2), (0.0, 0.026, 0.030, 2.4)]
     cheeks = [drum(0.028, 0.009, Y, (0.0, side * 0.034, 0.0)) for side in (-1, 1)]
     return {"grey": [loft(column, edges=(0.002, 0.006)), *cheeks]}
 
 
 def head():
-    """Return link 2: shell, visor, cameras, ear caps."""
-    # w up; half depth, half width, power, forward
+    """Returns link 2: shell, visor, cameras, ear caps."""
+    # Outlines: position along w, half depth, half width, exponent, forward offset.
     shell = [
         (-0.020, 0.050, 0.052, 2.3, 0.004),
         (0.020, 0.078, 0.070, 2.5, 0.012),

@@ -1,9 +1,9 @@
-"""Write the link meshes of Rollin' Justin's platform and torso to ``meshes/``.
+"""Writes the link meshes of Rollin' Justin's platform and torso to `meshes/`.
 
-A design of this project's own, within the published height of 1.91 m; no DLR data is used. Each
-part is in its link's modified Denavit-Hartenberg frame, in metres: the base's stands on the floor,
-x forward; that of link 1 is at the height of the first pitch joint; those of links 2 and 3 have x
-along the link (up in the zero pose), y forward and z to the left.
+An original design with the published height of 1.91 m; no data from DLR is used. Each part is in
+the modified Denavit-Hartenberg frame of its link, in meters. The frame of the base is on the floor,
+with x forward. The frame of link 1 is at the height of the first pitch joint. The frames of links 2
+and 3 have x along the link (up in the zero pose), y forward and z to the left.
 """
 
 from __future__ import annotations
@@ -18,17 +18,17 @@ from bodies import X, Y, Z, drum, link_cap, loft, merge, revolve, write_links
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-PITCH = 0.77  # m, height of the first pitch joint
-LINK = 0.30  # m, from there to the second one
-SHOULDERS = 0.34  # m, from there to the arms' bases
-ARM = 0.19  # m, from the middle to an arm's base
-TILT = np.deg2rad(60.0)  # of the arms' first axes from the vertical
+PITCH = 0.77  # height of the first pitch joint, m
+LINK = 0.30  # distance from the first to the second pitch joint, m
+SHOULDERS = 0.34  # distance from the second pitch joint to the bases of the arms, m
+ARM = 0.19  # distance from the middle to the base of an arm, m
+TILT = np.deg2rad(60.0)  # angle between the first axes of the arms and the vertical
 UP, FORWARD, LEFT = X, Y, Z  # in the frames of links 2 and 3
 UPRIGHT = (Y, Z, X)  # u forward, v left, w up
 
 
 def base():
-    """Return the platform: a rounded body, its dark skirt and deck, the collar of the torso."""
+    """Returns the platform: a rounded body, its dark skirt and deck, the collar of the torso."""
     body = [
         (0.20, 0.235, 0.205, 3.6),
         (0.30, 0.275, 0.240, 3.4),
@@ -53,7 +53,7 @@ def base():
 
 
 def waist():
-    """Return link 1: the column that turns, and the fork of the first pitch joint."""
+    """Returns link 1: the rotating column, and the fork of the first pitch joint."""
     column = [
         (0.630 - PITCH, 0.112, 0.112, 2.0),
         (0.665 - PITCH, 0.110, 0.108, 2.1),
@@ -68,7 +68,7 @@ def waist():
 
 
 def spine():
-    """Return link 2: a bar between the two pitch joints."""
+    """Returns link 2: a bar between the two pitch joints."""
     bar = [
         (0.0, 0.056, 0.046, 2.6),
         (0.09, 0.060, 0.050, 3.0),
@@ -87,8 +87,8 @@ def spine():
 
 
 def chest():
-    """Return link 3: a chest with a blue front, the sockets of both arms and the neck's collar."""
-    # w up; half depth, half width, power, forward
+    """Returns link 3: a chest with a blue front, the sockets of the arms, and a neck collar."""
+    # Outlines: position along w, half depth, half width, exponent, forward offset.
     shell = [
         (-0.020, 0.062, 0.075, 2.6, 0.000),
         (0.060, 0.080, 0.105, 2.7, 0.006),
@@ -117,7 +117,7 @@ def chest():
     for side in (-1.0, 1.0):
         axis = np.cos(TILT) * UP + side * np.sin(TILT) * LEFT
         at = SHOULDERS * UP + side * ARM * LEFT
-        # An arm stands on the socket's face.
+        # The base of the arm is on the face of the socket.
         parts["white"].append(revolve([(0.100, -0.110), (0.108, -0.035)], axis, at, 32))
         parts["grey"].append(revolve([(0.111, -0.040), (0.111, -0.0005)], axis, at, 32))
         parts["orange"].append(revolve([(0.1125, -0.046), (0.1125, -0.036)], axis, at, 32))

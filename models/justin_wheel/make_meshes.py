@@ -1,8 +1,8 @@
-"""Write the link meshes of one leg of Justin's platform to ``meshes/``: a leg, a fork, a wheel.
+"""Writes the link meshes of one leg of Justin's platform to `meshes/`: a leg, a fork, a wheel.
 
-A design of this project's own. Each part is in its link's modified Denavit-Hartenberg frame, in
-metres: the base's stands on the floor under the steered axis, x outwards; link 1 is at the wheel's
-middle, z up; z of link 2 is the wheel's axis.
+An original design. Each part is in the modified Denavit-Hartenberg frame of its link, in meters.
+The frame of the base is on the floor under the steering axis, with x outward. The frame of link 1
+is in the center of the wheel, with z up. z of link 2 is the wheel axis.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from bodies import X, Y, Z, cap, drum, loft, merge, revolve, write_links
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-RADIUS = 0.10  # m, of the wheel
-KNEE = 0.285  # m, height of the leg's outer end
+RADIUS = 0.10  # radius of the wheel, m
+KNEE = 0.285  # height of the outer end of the leg, m
 
 
 def base():
-    """Return the leg: an arm from the platform's body to the housing of the steered axis."""
+    """Returns the leg: an arm from the platform to the housing of the steering axis."""
     arm = [
         (-0.02, 0.040, 0.046, 3.0, 0.0, 0.0),
         (0.10, 0.046, 0.050, 3.0, 0.012, 0.0),
         (0.24, 0.052, 0.058, 3.0, 0.0, 0.0),
     ]
-    inwards = (Z, Y, -X)  # u up, v sideways, w towards the platform
+    inwards = (Z, Y, -X)  # u up, v sideways, w toward the platform
     hood = [
         (0.215, 0.058, 0.058, 2.0),
         (0.270, 0.062, 0.062, 2.0),
@@ -43,7 +43,7 @@ def base():
 
 
 def fork():
-    """Return link 1: what holds the wheel, and turns with it."""
+    """Returns link 1: the fork that holds the wheel and rotates about the steering axis."""
     crown = [(0.098, 0.050, 0.040, 2.6), (0.118, 0.048, 0.046, 2.2)]
     cheek = [(-0.03, 0.026, 0.007, 3.0), (0.04, 0.032, 0.008, 3.0), (0.112, 0.040, 0.009, 3.0)]
     sides = [loft(cheek, origin=(0.0, s * 0.042, 0.0), edges=(0.006, 0.004)) for s in (-1, 1)]
@@ -51,12 +51,12 @@ def fork():
 
 
 def wheel():
-    """Return link 2: tyre, rim and hub caps."""
+    """Returns link 2: tyre, rim and hub caps."""
     tread = [(RADIUS - 0.012, -0.026), (RADIUS - 0.003, -0.022), (RADIUS, -0.010)]
     tyre = [(0.068, -0.026), *tread, *((r, -z) for r, z in tread[::-1]), (0.068, 0.026)]
     rim = [(0.070, -0.0265), (0.070, 0.0265)]
     holes = []
-    for angle in np.arange(5) * 2 * np.pi / 5:  # so that one sees it roll
+    for angle in np.arange(5) * 2 * np.pi / 5:  # makes rolling visible
         at = (0.046 * np.cos(angle), 0.046 * np.sin(angle), 0.0)
         holes.append(drum(0.012, 0.0275, Z, at, 0.001))
     hubs = merge(cap(0.020, 0.0265, Z), cap(0.020, 0.0265, -Z))

@@ -1,17 +1,17 @@
-"""Write the link meshes of the DLR/KUKA light-weight robot to ``models/lwr/meshes/``.
+"""Writes the link meshes of the DLR/KUKA light-weight robot to `models/lwr/meshes/`.
 
-The shapes are this project's own design, drawn after the published dimensions of the arm only:
-the seam offsets come from the public URDF ``kuka_lwr.urdf.xacro`` of CentroEPiaggio/kuka-lwr
-(Unlicense).  No DLR or KUKA data is used.
+The shapes are an original design that uses only published dimensions of the arm. The seam offsets
+are those of the public URDF `kuka_lwr.urdf.xacro` of CentroEPiaggio/kuka-lwr (Unlicense). No data
+from DLR or KUKA is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own modified
-Denavit-Hartenberg frame.  Colours (rgba): white .93 .93 .92 1, grey .27 .265 .26 1, orange
-1 .40 .04 1, steel .72 .73 .75 1.  The arm is built from two kinds of part:
+One binary STL file is written per link and color, in meters, in the modified Denavit-Hartenberg
+frame of the link. Colors (RGBA): white .93 .93 .92 1, grey .27 .265 .26 1, orange 1 .40 .04 1,
+steel .72 .73 .75 1. The arm has two kinds of parts:
 
 * bodies of revolution: base, seam rings, joint caps, wrist ball and flange;
-* five shells, see ``models/shells.py``.
+* five shells, see `models/shells.py`.
 
-Run ``python models/lwr/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/lwr/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -46,14 +46,14 @@ ELBOW_3 = Shell(0.20, 0.063, 0.067, DISC_GAP, 0.071, 0.024, *BENDS)
 ELBOW_4 = Shell(0.20, 0.060, 0.067, DISC_GAP, 0.071, 0.024, *BENDS)
 WRIST_5 = Shell(0.19, 0.060, 0.046, 0.038, 0.068, 0.014, (0.040, 0.140), (0.030, 0.150), 0.022)
 
-BALL = 0.057  # m, wrist ball radius
-BALL_CUT = -0.036  # m, its flat towards link 5, along z6
-BALL_FACE = 0.046  # m, its flat under the cap
-NECK = 0.0345  # m, radius of link 7; below the ball's flat, so link 5 stays clear of it
+BALL = 0.057  # radius of the wrist ball, m
+BALL_CUT = -0.036  # position along z6 of its flat face toward link 5, m
+BALL_FACE = 0.046  # position of its flat face under the cap, m
+NECK = 0.0345  # radius of link 7, m; small enough to clear link 5
 
 
 def base() -> dict[str, list[trimesh.Trimesh]]:
-    """Return link 0 in the world frame (metres): foot plate, bolts, flared shell, seam ring."""
+    """Returns link 0 in the world frame (meters): foot plate, bolts, flared shell, seam ring."""
     foot = [(0.110, 0.0), (0.110, 0.0105), (0.1085, 0.012), (0.090, 0.0125)]
     z = np.linspace(0.0, 1.0, 7) ** 1.3
     side = np.column_stack([0.0665 + 0.0255 * (1.0 - z) ** 3.4, 0.016 + z * 0.0915])
@@ -69,7 +69,7 @@ def base() -> dict[str, list[trimesh.Trimesh]]:
 
 
 def links() -> dict[str, dict[str, list[trimesh.Trimesh]]]:
-    """Return every link's parts (metres, in the link's frame) by link name and colour."""
+    """Returns the parts of every link (meters, in the frame of the link) by link name and color."""
     out = {"base": base()}
     plan = [
         ("link1", SHOULDER_1, Y, -Z),
@@ -82,21 +82,21 @@ def links() -> dict[str, dict[str, list[trimesh.Trimesh]]]:
         out[name] = cap(shell.drum - shell.rim - 0.004, shell.outer, side)
         out[name]["white"] = [shell_mesh(shell, side, seam)]
         if name in ("link2", "link4"):
-            # The child carries the dark disc between two drums and the ring of its roll seam.
+            # The dark disc between two drums and the ring of a roll seam belong to the child link.
             out[name]["grey"].append(seam_ring(shell.drum - RING_INSET, 0.0, side))
             out[name]["grey"].append(seam_ring(shell.tube - RING_INSET, shell.length, seam))
     return {**out, "link6": wrist(), "link7": flange()}
 
 
 def wrist() -> dict[str, list[trimesh.Trimesh]]:
-    """Return link 6 in its frame (metres): ball cut flat towards link 5, neck along y6, cap."""
+    """Returns link 6 in its frame (meters): ball cut flat toward link 5, neck along y6, cap."""
     return wrist_ball(BALL, BALL_CUT, BALL_FACE, NECK, 0.057, Y)
 
 
 def flange() -> dict[str, list[trimesh.Trimesh]]:
-    """Return link 7 in its frame (metres): collar and tool flange with pilot bore and bolts."""
+    """Returns link 7 in its frame (meters): collar and tool flange with pilot bore and bolts."""
     rim = [(NECK - 0.0008, 0.0585), (NECK, 0.0593), (NECK, 0.0715, 0.003), (0.03, 0.0715)]
-    # Seven of eight: the eighth place is the dowel's, as on ISO 9409 flanges.
+    # Seven of eight places have bolts; the eighth place has a dowel, as in ISO 9409 flanges.
     return {"white": [revolve(fillet(rim, 2))], **tool_flange(0.078, np.arange(7) * np.pi / 4.0)}
 
 

@@ -1,13 +1,13 @@
-"""Write the link meshes of the Unimation Puma 560 to ``models/puma560/meshes/``.
+"""Writes the link meshes of the Unimation Puma 560 to `models/puma560/meshes/`.
 
-The shapes are this project's own design about the published axes.  The upper arm stands 0.2435 m
-aside of the column and the forearm 0.0934 m less (Armstrong, Khatib, Burdick, ICRA 1986); all other
-measures are estimated.  No manufacturer's data of shapes is used.
+The shapes are an original design about the published axes. The upper arm is 0.2435 m beside the
+column, and the forearm is 0.0934 m closer (Armstrong, Khatib, Burdick, ICRA 1986). All other
+dimensions are estimated. No shape data from the manufacturer is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own standard
-Denavit-Hartenberg frame.
+One binary STL file is written per link and color, in meters, in the standard Denavit-Hartenberg
+frame of the link.
 
-Run ``python models/puma560/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/puma560/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -40,22 +40,22 @@ from bodies import (
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-SHOULDER = 0.67183  # m, height of axis 2
-UPPER_ARM = 0.4318  # m, from axis 2 to axis 3
-FOREARM = 0.4318  # m, from axis 3 to the wrist, along axis 4
-ELBOW = 0.0203  # m, from axis 3 to axis 4
-ASIDE = 0.2435  # m, from the column to the middle of the upper arm
-HALF = 0.046  # m, half the thickness of upper arm and forearm
-COLUMN = 0.092  # m, radius
-SEAM_1 = 0.230  # m, below axis 2
-SHOULDER_DRUM = 0.098  # m, radius
-GAP = 0.0015  # m, from a body to the middle of its seam
+SHOULDER = 0.67183  # height of axis 2, m
+UPPER_ARM = 0.4318  # distance from axis 2 to axis 3, m
+FOREARM = 0.4318  # distance from axis 3 to the wrist along axis 4, m
+ELBOW = 0.0203  # distance from axis 3 to axis 4, m
+ASIDE = 0.2435  # distance from the column to the middle of the upper arm, m
+HALF = 0.046  # half the thickness of upper arm and forearm, m
+COLUMN = 0.092  # radius of the column, m
+SEAM_1 = 0.230  # distance of seam 1 below axis 2, m
+SHOULDER_DRUM = 0.098  # radius of the shoulder drum, m
+GAP = 0.0015  # distance from a body to the middle of its seam, m
 
 Parts = dict[str, list[trimesh.Trimesh]]
 
 
 def base() -> Parts:
-    """Return link 0 in the world frame (metres): foot with bolts, column, seam ring."""
+    """Returns link 0 in the world frame (meters): foot with bolts, column, seam ring."""
     top = SHOULDER - SEAM_1
     foot = [(0.165, 0.0), (0.165, 0.016, 0.004), (0.120, 0.020, 0.006), (COLUMN + 0.004, 0.052)]
     column = [(COLUMN, 0.040), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
@@ -64,7 +64,7 @@ def base() -> Parts:
 
 
 def shoulder() -> Parts:
-    """Return link 1 in its frame (metres): trunk below axis 2, drum about it."""
+    """Returns link 1 in its frame (meters): trunk below axis 2, drum about it."""
     trunk = [
         (-SEAM_1 + GAP, COLUMN, COLUMN, 2.0),
         (-0.150, COLUMN, COLUMN, 2.0),
@@ -92,7 +92,7 @@ def shoulder() -> Parts:
 
 
 def upper_arm() -> Parts:
-    """Return link 2 in its frame (metres): a plate from behind the shoulder to the elbow."""
+    """Returns link 2 in its frame (meters): a plate from behind the shoulder to the elbow."""
     stations = [
         (-0.660, 0.066, HALF - 0.006, 4.0),
         (-0.580, 0.092, HALF, 4.5),
@@ -112,7 +112,7 @@ def upper_arm() -> Parts:
 
 
 def forearm() -> Parts:
-    """Return link 3 in its frame (metres): a tapered body with the motors of the wrist behind."""
+    """Returns link 3 in its frame (meters): a tapered body with the motors of the wrist behind."""
     stations = [
         (-0.190, 0.058, HALF - 0.008, 4.0, -ELBOW, 0.0),
         (-0.120, 0.074, HALF - 0.002, 4.5, -ELBOW, 0.0),
@@ -122,7 +122,7 @@ def forearm() -> Parts:
         (FOREARM - 0.078, 0.041, 0.041, 2.2),
         (FOREARM - 0.066 - GAP, 0.040, 0.040, 2.0),
     ]
-    face = -HALF + 0.001  # towards the upper arm, whose z is -y here
+    face = -HALF + 0.001  # toward the upper arm, whose z is -y here
     return merge(
         {
             "white": [loft(stations, (X, Y, Z), edges=(0.022, 0.002), steps=4, sides=48)],
@@ -136,19 +136,19 @@ def forearm() -> Parts:
 
 
 def wrist() -> Parts:
-    """Return link 4 in its frame (metres): a collar about axis 4, and a fork about axis 5."""
+    """Returns link 4 in its frame (meters): a collar about axis 4, and a fork about axis 5."""
     collar = [(0.0, 0.040), (0.040, 0.040, 0.003), (0.040, 0.066 - GAP, 0.002), (0.0, 0.066 - GAP)]
     cheek = [(-0.052, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
     return wrist_fork(collar, cheek, -Y)
 
 
 def hand() -> Parts:
-    """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
+    """Returns link 5 in its frame (meters): a drum about axis 5, and a neck along axis 6."""
     return wrist_drum(0.024, 0.032, 0.033)
 
 
 def flange() -> Parts:
-    """Return link 6 in its frame (metres): collar and plate."""
+    """Returns link 6 in its frame (meters): collar and plate."""
     collar = [(0.0, 0.034), (0.026, 0.034, 0.002), (0.026, 0.048, 0.002), (0.0, 0.048)]
     parts = tool_flange(0.056, np.arange(4) * np.pi / 2.0, 0.0315)
     return merge({"white": [revolve(fillet(collar), sides=32)]}, parts)

@@ -1,12 +1,12 @@
-"""Write the link meshes of the Adept Cobra 600 to ``models/scara/meshes/``.
+"""Writes the link meshes of the Adept Cobra 600 to `models/scara/meshes/`.
 
-The shapes are this project's own design about the published axes, arms and stroke; all other
-measures are estimated.  No manufacturer's data of shapes is used.
+The shapes are an original design about the published axes, arms and stroke. All other dimensions
+are estimated. No shape data from the manufacturer is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own standard
-Denavit-Hartenberg frame.
+One binary STL file is written per link and color, in meters, in the standard Denavit-Hartenberg
+frame of the link.
 
-Run ``python models/scara/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/scara/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ from bodies import (
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-HEIGHT = 0.387  # m, of the first arm's frame
-INNER, OUTER = 0.325, 0.275  # m, lengths of the arms
-STROKE = 0.210  # m
-ARM = 0.088  # m, height of the first arm
-COLUMN = 0.086  # m, radius
-GAP = 0.0015  # m, from a body to the middle of its seam
-HOOD = 0.176  # m, height of the second arm
-QUILL = 0.0115  # m, radius
+HEIGHT = 0.387  # height of the frame of the first arm, m
+INNER, OUTER = 0.325, 0.275  # lengths of the arms, m
+STROKE = 0.210  # stroke of the quill, m
+ARM = 0.088  # height of the body of the first arm, m
+COLUMN = 0.086  # radius of the column, m
+GAP = 0.0015  # distance from a body to the middle of its seam, m
+HOOD = 0.176  # height of the body of the second arm, m
+QUILL = 0.0115  # radius of the quill, m
 
 Parts = dict[str, list[trimesh.Trimesh]]
 
 
 def base() -> Parts:
-    """Return link 0 in the world frame (metres): plate, column that reaches back, plugs, ring."""
+    """Returns link 0 in the world frame (meters): plate, column that reaches back, plugs, ring."""
     top = HEIGHT - ARM - GAP
     column = [
         (0.014, 0.098, 0.090, 4.0, -0.030, 0.0),
@@ -69,7 +69,7 @@ def base() -> Parts:
 
 
 def inner_arm() -> Parts:
-    """Return link 1 in its frame (metres): an arm below it, from axis 1 to axis 2."""
+    """Returns link 1 in its frame (meters): an arm below it, from axis 1 to axis 2."""
     stations = [
         (-INNER - 0.088, 0.060, 0.5 * ARM - 0.004, 2.6),
         (-INNER - 0.040, 0.084, 0.5 * ARM, 4.0),
@@ -88,7 +88,7 @@ def inner_arm() -> Parts:
 
 
 def outer_arm() -> Parts:
-    """Return link 2 in its frame (metres; z down): hood over the motors, tower of the quill."""
+    """Returns link 2 in its frame (meters; z down): hood over the motors, tower of the quill."""
     stations = [
         (-OUTER - 0.072, 0.048, 0.5 * HOOD - 0.020, 2.6),
         (-OUTER - 0.030, 0.066, 0.5 * HOOD - 0.008, 3.6),
@@ -127,13 +127,13 @@ def outer_arm() -> Parts:
 
 
 def quill() -> Parts:
-    """Return link 3 in its frame (metres; z down): the rod, hidden in the tower when it is up."""
+    """Returns link 3 in its frame (meters; z down): the rod, which the tower hides when up."""
     rod = [(0.0, -0.305), (QUILL, -0.305, 0.001), (QUILL, -0.020), (0.0, -0.020)]
     return {"steel": [revolve(fillet(rod), sides=32)]}
 
 
 def tip() -> Parts:
-    """Return link 4 in its frame (metres; z down): the rod's end with a collar and a flat."""
+    """Returns link 4 in its frame (meters; z down): the end of the rod with a collar and a flat."""
     end = [(0.0, -0.020), (QUILL, -0.020), (QUILL, 0.0, 0.0008), (0.0, 0.0)]
     collar = [(0.0, -0.024), (0.021, -0.024, 0.001), (0.021, -0.010, 0.001), (0.0, -0.010)]
     screw = drum(0.003, 0.002, X, (0.021, 0.0, -0.017), 0.0005)

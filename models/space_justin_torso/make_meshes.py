@@ -1,8 +1,8 @@
-"""Write the link meshes of SpaceJustin's torso to ``meshes/``: Justin's chest on a pedestal.
+"""Writes the link meshes of SpaceJustin's torso to `meshes/`: Justin's chest on a pedestal.
 
-A design of this project's own; no DLR data is used. Each part is in its link's modified
-Denavit-Hartenberg frame, in metres: x forward, z up; the base's is on the floor, that of link 1 in
-the waist.
+An original design; no data from DLR is used. Each part is in the modified Denavit-Hartenberg frame
+of its link, in meters, with x forward and z up. The frame of the base is on the floor, and the
+frame of link 1 is in the waist.
 """
 
 from __future__ import annotations
@@ -18,14 +18,14 @@ from justin_torso.make_meshes import chest
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-WAIST = 0.85  # m, height of the joint's frame
-CHEST = 0.12  # m, from there to the foot of Justin's chest
+WAIST = 0.85  # height of the joint frame, m
+CHEST = 0.12  # distance from the joint frame to the foot of Justin's chest, m
 # Justin's chest has x up, y forward and z to the left.
 UPRIGHT = np.array([[0, 1, 0, 0], [0, 0, 1, 0], [1, 0, 0, CHEST], [0, 0, 0, 1]])
 
 
 def base():
-    """Return the pedestal."""
+    """Returns the pedestal."""
     column = [
         (0.035, 0.150, 0.150, 2.2),
         (0.120, 0.098, 0.098, 2.2),
@@ -45,7 +45,7 @@ def base():
 
 
 def torso():
-    """Return link 1: the waist, and Justin's chest on it."""
+    """Returns link 1: the waist, and Justin's chest on it."""
     waist = [
         (-0.072, 0.104, 0.108, 2.2),
         (-0.020, 0.092, 0.100, 2.3),

@@ -1,13 +1,13 @@
-"""Write the link meshes of the Stanford arm to ``models/stanford/meshes/``.
+"""Writes the link meshes of the Stanford arm to `models/stanford/meshes/`.
 
-The shapes are this project's own design about the published axes and lengths; all other measures
-are estimated, after what the arm in the museum looks like: a column, a shoulder drum, a square
-boom that rolls through its carriage, a wrist of three axes and a hand of two jaws.
+The shapes are an original design about the published axes and lengths. All other dimensions are
+estimated. As on the arm in the museum, there are a column, a shoulder drum, a square boom that
+rolls through its carriage, a wrist with three axes, and a hand with two jaws.
 
-One binary STL file is written per link and colour, in metres, in the link's own standard
-Denavit-Hartenberg frame.
+One binary STL file is written per link and color, in meters, in the standard Denavit-Hartenberg
+frame of the link.
 
-Run ``python models/stanford/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/stanford/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations
@@ -38,21 +38,21 @@ from bodies import (
 
 OUT = Path(__file__).resolve().parent / "meshes"
 
-HEIGHT = 0.412  # m, of axis 2
-ASIDE = 0.154  # m, from axis 1 to the boom
-HAND = 0.263  # m, from the wrist to the grasp
-LONGEST, SHORTEST = 0.9144, 0.2032  # m, of the boom, from axis 2 to the wrist
-COLUMN = 0.074  # m, radius
-SEAM_1 = 0.120  # m, below axis 2
-DRUM = 0.080  # m, radius of the shoulder
-BOOM = 0.0318  # m, half the width
-GAP = 0.0015  # m, from a body to the middle of its seam
+HEIGHT = 0.412  # height of axis 2, m
+ASIDE = 0.154  # distance from axis 1 to the boom, m
+HAND = 0.263  # distance from the wrist to the grasp, m
+LONGEST, SHORTEST = 0.9144, 0.2032  # distances from axis 2 to the wrist, m
+COLUMN = 0.074  # radius of the column, m
+SEAM_1 = 0.120  # distance of seam 1 below axis 2, m
+DRUM = 0.080  # radius of the shoulder, m
+BOOM = 0.0318  # half the width of the boom, m
+GAP = 0.0015  # distance from a body to the middle of its seam, m
 
 Parts = dict[str, list[trimesh.Trimesh]]
 
 
 def base() -> Parts:
-    """Return link 0 in the world frame (metres): foot with bolts, column, seam ring."""
+    """Returns link 0 in the world frame (meters): foot with bolts, column, seam ring."""
     top = HEIGHT - SEAM_1
     foot = [(0.150, 0.0), (0.150, 0.014, 0.003), (0.105, 0.018, 0.006), (COLUMN + 0.004, 0.046)]
     column = [(COLUMN, 0.036), (COLUMN, top - GAP, 0.002), (0.0, top - GAP)]
@@ -61,7 +61,7 @@ def base() -> Parts:
 
 
 def shoulder() -> Parts:
-    """Return link 1 in its frame (metres; y down): trunk, and the drum about axis 2."""
+    """Returns link 1 in its frame (meters; y down): trunk, and the drum about axis 2."""
     trunk = [
         (-SEAM_1 + GAP, COLUMN, COLUMN, 2.0),
         (-0.085, COLUMN, COLUMN, 2.0),
@@ -83,7 +83,7 @@ def shoulder() -> Parts:
 
 
 def carriage() -> Parts:
-    """Return link 2 in its frame (metres): a frame with rollers about the boom, along z."""
+    """Returns link 2 in its frame (meters): a frame with rollers about the boom, along z."""
     wall, tall = BOOM + 0.030, 0.105
     plates = [
         (-tall, wall - 0.006, wall - 0.006, 6.0),
@@ -114,7 +114,7 @@ def carriage() -> Parts:
 
 
 def boom() -> Parts:
-    """Return link 3 in its frame (metres): a square tube that ends before the wrist."""
+    """Returns link 3 in its frame (meters): a square tube that ends before the wrist."""
     start, end = -LONGEST - 0.140, -0.060
     tube = [(start, BOOM, BOOM, 8.0), (end, BOOM, BOOM, 8.0)]
     rack = [(start + 0.040, 0.006, 0.003, 8.0), (end - 0.060, 0.006, 0.003, 8.0)]
@@ -130,19 +130,19 @@ def boom() -> Parts:
 
 
 def wrist() -> Parts:
-    """Return link 4 in its frame (metres; the boom is along -y): a fork about axis 5."""
+    """Returns link 4 in its frame (meters; the boom is along -y): a fork about axis 5."""
     collar = [(0.0, 0.024), (0.042, 0.024, 0.004), (0.042, 0.044 - GAP, 0.002), (0.0, 0.044 - GAP)]
     cheek = [(-0.036, 0.036, 0.0075, 3.0), (0.0, 0.034, 0.0075, 3.0), (0.026, 0.020, 0.0065, 2.6)]
     return wrist_fork(collar, cheek, Y)
 
 
 def yoke() -> Parts:
-    """Return link 5 in its frame (metres): a drum about axis 5, and a neck along axis 6."""
+    """Returns link 5 in its frame (meters): a drum about axis 5, and a neck along axis 6."""
     return wrist_drum(0.025, 0.044, 0.0455)
 
 
 def hand() -> Parts:
-    """Return link 6 in its frame (metres): from the wrist to two jaws that meet in its origin."""
+    """Returns link 6 in its frame (meters): a hand with two jaws that meet in the origin."""
     start = -HAND + 0.047
     body = [
         (start, 0.026, 0.026, 2.0),

@@ -1,16 +1,16 @@
-"""Write the link meshes of the Universal Robots UR10e to ``models/ur10e/meshes/``.
+"""Writes the link meshes of the Universal Robots UR10e to `models/ur10e/meshes/`.
 
-The shapes are this project's own design, see ``models/universal_arm.py``, drawn after published
-dimensions only.  Lengths are those of the DH table; offsets along axis 2 (176 and 39 mm) and the
-radius of the large housings (75 mm) those of physical_parameters.yaml in
-UniversalRobots/Universal_Robots_ROS2_Description; the foot of 190 mm and the flange of
-ISO 9409-1-50-4-M6 those of UR's data sheet.  The others are estimated.  No UR data of shapes is
-used.
+The shapes are an original design that uses only published dimensions, see
+`models/universal_arm.py`. Lengths are those of the DH table. Offsets along axis 2 (176 and 39 mm)
+and the radius of the large housings (75 mm) are those of physical_parameters.yaml in
+UniversalRobots/Universal_Robots_ROS2_Description. The foot (190 mm) and the flange
+(ISO 9409-1-50-4-M6) are those of the data sheet. Other dimensions are estimated. No shape data from
+Universal Robots is used.
 
-One binary STL file is written per link and colour, in metres, in the link's own modified
-Denavit-Hartenberg frame.
+One binary STL file is written per link and color, in meters, in the modified Denavit-Hartenberg
+frame of the link.
 
-Run ``python models/ur10e/make_meshes.py``; the output is the same byte for byte on every run.
+Run `python models/ur10e/make_meshes.py`; every run writes identical files.
 """
 
 from __future__ import annotations

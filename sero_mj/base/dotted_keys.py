@@ -117,7 +117,8 @@ def _with_element(values: Any, indices: list[str | int], value: Any, name: str) 
     if not isinstance(index, int):
         raise ValueError(f"'{name}' is a list; expected an index, as in {name}[0]")
     if index >= len(values):
-        raise ValueError(f"'{name}' has no element [{index}]; the last is [{len(values) - 1}]")
+        count = len(values)
+        raise ValueError(f"'{name}' has no element [{index}]; it has {count}, counted from [0]")
     changed = list(values)
     changed[index] = _with_element(values[index], rest, value, f"{name}[{index}]")
     return changed

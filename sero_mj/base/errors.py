@@ -271,7 +271,7 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
 
 
 class UnknownName(SeroError, KeyError):
-    """Raised for a name that does not exist, for example an unknown camera name."""
+    """A name that does not exist, for example the name of a camera."""
 
     def __init__(self, kind: str, name: str, available: Iterable[str], hint: str = "") -> None:
         self.kind = kind
@@ -377,7 +377,7 @@ class SimulationError(_ProblemError, RuntimeError):
 
 
 class NotTrusted(SeroError, PermissionError):
-    """Raised if a file that is not trusted requests actions, see `base.trust`."""
+    """A request for actions in a file that is not trusted, see `base.trust`."""
 
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions

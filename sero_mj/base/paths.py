@@ -338,7 +338,7 @@ def make_temporary_folder() -> Path:
 
 
 def is_temporary(path: Path | str) -> bool:
-    """Whether a file is in a temporary folder of this process."""
+    """Returns whether a file is in a temporary folder of this process."""
     if not _temporary.cache_info().currsize:  # none was created
         return False
     return Path(path).is_relative_to(Path(_temporary().name).resolve())

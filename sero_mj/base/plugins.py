@@ -62,12 +62,12 @@ def forget_plugins() -> None:
 
 
 def is_own(point: EntryPoint) -> bool:
-    """Whether an entry point is part of sero-mj."""
+    """Returns whether an entry point is part of sero-mj."""
     return point.value.partition(".")[0] == _OWN
 
 
 def is_own_class(kind: type) -> bool:
-    """Whether a class is part of sero-mj."""
+    """Returns whether a class is part of sero-mj."""
     return kind.__module__.partition(".")[0] == _OWN
 
 

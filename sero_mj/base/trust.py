@@ -108,7 +108,7 @@ def allow(request: Request) -> None:
 
 
 def is_allowed(request: Request) -> bool:
-    """Whether a request was allowed, or all of its files are in trusted folders."""
+    """Returns whether a request was allowed, or all of its files are in trusted folders."""
     if _folders:
         files = [request.file, *request.tables, *(f for a in request.actions for f in a.files)]
         if all(any(f.resolve().is_relative_to(each) for each in _folders) for f in files):

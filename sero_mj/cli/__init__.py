@@ -1,6 +1,6 @@
-"""The command line: `sero-mj COMMAND ...`, one file per command.
+"""The command line `sero-mj COMMAND ...`, with one file per command.
 
-A package adds a command by an entry point in the group `sero_mj.commands`, see `Command`.
+A package adds a `Command` by an entry point in the group `sero_mj.commands`.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 class Command(Protocol):
-    """The interface of a command: a module, or another object that an entry point names.
+    """A command of the command line: a module, or another object that an entry point names.
 
     Attributes:
         ORDER: position in the help; the commands of sero-mj have 10 to 99.
@@ -81,11 +81,11 @@ class Command(Protocol):
     ORDER: int
 
     def add_to(self, commands: Any) -> None:
-        """Adds the command to the subparsers of argparse, see `arguments.command`."""
+        """Adds the command to subparsers of argparse. `arguments.command` creates this function."""
 
 
 class _CommandList:
-    """Replaces the subparsers of argparse, and sorts the help lines of commands by group."""
+    """A wrapper of argparse subparsers that sorts the help lines of commands by group."""
 
     def __init__(self, commands: Any) -> None:
         self._commands = commands
@@ -169,7 +169,7 @@ _OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
 
 
 def translated(arguments: list[str]) -> list[str]:
-    """Returns a command line with the current name of a renamed command, and prints a note."""
+    """Replaces the old name of a renamed command in a command line, and prints a note."""
     name, *rest = arguments
     if name not in _OLD or name in plugins(COMMANDS):
         return arguments

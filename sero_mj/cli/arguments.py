@@ -102,7 +102,7 @@ def command(
 
 
 def check_ending(option: str, path: Path, endings: Collection[str]) -> None:
-    """Raises UsageError if a file name has another ending; `option` begins the message."""
+    """Raises UsageError, with `option` in the message, if a file name has another ending."""
     if path.suffix.lower() not in endings:
         raise UsageError(f"{option}: expected a name that ends in {', '.join(endings)}")
 
@@ -124,7 +124,10 @@ def writing() -> Iterator[None]:
 
 
 def pace(done: int, begin: float, workers: int) -> str:
-    """Returns the tasks per second since `begin` and the number of workers, as text."""
+    """Returns a text with the completed tasks per second and the number of workers.
+
+    `begin` is the start time from `time.perf_counter`.
+    """
     rate = done / (time.perf_counter() - begin)
     return f"{rate:.1f}/s, {workers} {'worker' if workers == 1 else 'workers'}"
 
@@ -135,8 +138,9 @@ def progress_bar(
 ) -> Iterator[Callable[[int, int], None]]:
     """Shows a progress bar on a terminal.
 
-    Yields a function that updates the bar; its arguments are the completed amount and the total.
-    With `stays`, the bar remains visible at the end. `note` returns text to show after the bar.
+    Yields a function that updates the bar; its arguments are the completed and the total amount.
+    If `stays` is true, the bar remains visible at the end. `note` returns a text to show after the
+    bar.
     """
     from rich import progress as bars
     from rich.table import Column
@@ -160,7 +164,7 @@ def progress_bar(
     task = bar.add_task(what, total=None)
 
     def update(done: int, total: int) -> None:
-        bar.start()  # started late, so that an earlier error leaves no empty bar
+        bar.start()  # an error before the first update must not leave an empty bar
         bar.update(task, completed=done, total=total)
 
     try:
@@ -171,9 +175,10 @@ def progress_bar(
 
 
 def overrides(settings: Sequence[str]) -> dict[str, Any]:
-    """Parses values of `--set robot.field=value`, which are TOML or numbers separated by commas.
+    """Parses the settings of `--set ROBOT.FIELD=VALUE`; returns a mapping from keys to values.
 
-    Raises UsageError for a setting without a key or `=`.
+    A value is TOML, numbers separated by commas, or plain text. Raises UsageError for a setting
+    without a key or `=`.
     """
     result: dict[str, Any] = {}
     wrong = []
@@ -207,9 +212,10 @@ def read_scene(
     trusted: bool = False,
     replay: Path | None = None,
 ) -> Scene:
-    """Loads a scene by name, file or network address, and applies `--set`; see `load_scene`.
+    """Loads a scene by name, file or network address, and applies the settings of `--set`.
 
-    Prints the programs that a scenario of the scene starts.
+    Prints the programs that a scenario of the scene starts. The other parameters are those of
+    `load_scene`.
     """
     from ..load import load_scene
 
@@ -242,7 +248,7 @@ def print_programs(scenario: Scenario | None) -> None:
 
 @contextlib.contextmanager
 def named_settings(settings: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
-    """Replaces the keys of fields that an option sets by that option in reported problems."""
+    """Converts problems of fields that an option has set, so that they name the option."""
     try:
         yield
     except DeclarationError as error:
@@ -253,7 +259,7 @@ def named_settings(settings: Mapping[str, Any], option: str = "--set") -> Iterat
 def _as_set(problem: Problem, settings: Mapping[str, Any], option: str) -> Problem:
     for target in settings:
         escaped = re.escape(target)
-        # The key in a scene, in a robot file, and of an unknown robot.
+        # The key can be that of a scene, of a robot file, or of an unknown robot.
         for key in (rf"\w+\.{escaped}", re.escape(target.partition(".")[2]), escaped):
             if key and (found := re.fullmatch(rf"{key}(\..+)?", problem.key)):
                 own = f"{option} {target}{found[1] or ''}"
@@ -275,12 +281,12 @@ def replay_instead(
     """Replaces the sources of a scene by replays of a recording or table.
 
     Args:
-        scene: the scene, which is modified.
-        file: a recording or table.
+        scene: scene to modify.
+        file: recording or table.
         start: start time in seconds since the recording began; None for the first packet.
         source: for a ROS recording and a scene without sources, the recorded source that moves the
             robot; for a table, the source of the scene that the table replaces.
-        columns: `SIGNAL=COLUMNS` for each signal of a table.
+        columns: texts `SIGNAL=COLUMNS` that assign the columns of a table.
 
     Raises:
         RecordingError: the recording cannot be read.
@@ -302,8 +308,8 @@ def replay_instead(
             reason = f"scene '{scene.name}' has its own sources ({own}), which are replayed by name"
             raise UsageError(f"--source {source}: {reason}. Leave out --source.")
         look_into(file).choose_source(source)
-    led = look_into(file).move_robot(scene, source)
-    scene.robots, scene.sources, scene.routes = led.robots, led.sources, led.routes
+    moved = look_into(file).move_robot(scene, source)
+    scene.robots, scene.sources, scene.routes = moved.robots, moved.sources, moved.routes
     recording = look_into(file, topics_of(scene))
     recorded = {name: list(source.events) for name, source in recording.sources.items()}
     check_span(recording, start)
@@ -327,12 +333,12 @@ def replay_instead(
 
 
 def print_json(found: Any) -> None:
-    """Prints JSON, with null for NaN and infinity."""
+    """Prints a value as JSON, with null for NaN and infinity."""
     print(json.dumps(finite(found), indent=2))
 
 
 def finite(found: Any) -> Any:
-    """Returns a copy for JSON, with None for NaN and infinity."""
+    """Returns a copy of a value for JSON, with None for NaN and infinity."""
     if isinstance(found, Mapping):
         return {key: finite(value) for key, value in found.items()}
     if isinstance(found, list | tuple):
@@ -357,10 +363,11 @@ def read_recorded_run(
     robots: Sequence[str] = (),
     columns: Sequence[str] = (),
 ) -> RunLog:
-    """Reads a recording, or a table with `columns` as `SIGNAL=COLUMNS`.
+    """Reads the run in a recording or a table.
 
     If `scene` is None, the recording determines the scene, which must contain one of `robots`
-    unless `robots` is empty. `source` selects one source of the recording.
+    unless `robots` is empty. `source` selects one source of the recording. `columns` contains texts
+    `SIGNAL=COLUMNS` that assign the columns of a table.
     """
     from ..data.record.csv_files import is_table, parse_columns
     from ..data.record.formats import open_recording
@@ -406,7 +413,7 @@ def note_choice(recording: Path, scene: str) -> None:
 
 
 def check_span(recording: PacketFile, start: float | None, option: str = "--start") -> None:
-    """Raises UsageError if a recording has no data after `start`, in seconds."""
+    """Raises UsageError, with `option` in the message, if no data follow `start` (seconds)."""
     from ..data.record.replay import check_start
 
     if start is not None:
@@ -418,7 +425,7 @@ def check_span(recording: PacketFile, start: float | None, option: str = "--star
 
 @contextlib.contextmanager
 def until_ended() -> Iterator[None]:
-    """Ends the context, not the command, at Ctrl+C and SIGTERM (`kill`, `timeout`)."""
+    """Ends only the context, not the command, at Ctrl+C and SIGTERM (`kill`, `timeout`)."""
     if threading.current_thread() is not threading.main_thread():
         with contextlib.suppress(KeyboardInterrupt):
             yield

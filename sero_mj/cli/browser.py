@@ -15,7 +15,7 @@ from ..viewer.image.backend import has_display
 
 
 def can_open_browser() -> bool:
-    """Whether this process has a terminal and a display, and is not in an SSH session."""
+    """Whether this process has a terminal and a display, and does not run in an SSH session."""
     is_remote = bool(os.environ.get("SSH_CONNECTION") or os.environ.get("SSH_TTY"))
     return sys.stdout.isatty() and has_display() and not is_remote
 
@@ -32,12 +32,12 @@ def open_in_browser(url: str) -> None:
         with suppress(webbrowser.Error, OSError):
             webbrowser.open(file.as_uri())
 
-    # In a thread, because some browsers block.
+    # A thread is needed, because some browsers block.
     threading.Thread(target=open_it, name="sero-mj browser", daemon=True).start()
 
 
 def redirect_to(url: str) -> Path:
-    """Returns a file that redirects to a page and exists until this process ends."""
+    """Writes an HTML file that redirects to a page; the file exists until this process ends."""
     file = make_temporary_folder() / "open.html"
     file.touch(0o600)
     target = html.escape(url)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from ..robots.declared.robot import SerialRobot
     from ..robots.declared.scene import Scene
 
-_NAMED_JOINTS = 24  # further joints are only counted
+_NAMED_JOINTS = 24  # maximum number of joints that are listed by name
 _NO_BREAK = "\0"  # a non-breaking space
 # File names and names of joints stay whole.
 _fill = partial(fill, width=100, break_on_hyphens=False, break_long_words=False)
@@ -54,9 +54,9 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
     """Check a scene, a recording or this machine.
 
     Attributes:
-        scene: scene, robot or recording: file or included name (default: check this machine).
+        scene: file or included name of a scene, robot or recording (default: check this machine).
         fk: print the base-to-flange transform of a robot.
-        joint_angles: comma-separated joint values, rad or m; implies --fk (default: home pose).
+        joint_angles: comma-separated joint values in rad or m; implies --fk (default: home pose).
         of: robot for --fk, required in a scene with several robots.
         deg: read --joint-angles in degrees.
         schema_of: print the JSON schema of robot, group, scene or scenario files, for editors.
@@ -80,13 +80,13 @@ class CheckOptions(PackageOptions, ReplayOptions, JsonOptions):
         if self.schema_of is None:
             self.refuse(("output",), " needs --schema")
         elif self.scene is not None:
-            raise ValueError(f"--schema {self.schema_of}: found {self.scene}; expected no scene")
+            raise ValueError(f"--schema {self.schema_of} cannot be combined with {self.scene}")
         if not is_fk:
             self.refuse(("of", "deg"), " needs --fk")
         if self.scene is None:
-            self.refuse(("fk", "joint_angles"), " needs a robot: add its name")
+            self.refuse(("fk", "joint_angles"), " needs a robot. Add its name.")
         if self.as_json and (self.scene is not None) != is_fk:
-            raise ValueError("--json needs --fk, or no scene")
+            raise ValueError("--json can only be used with --fk, or without a scene")
         return self
 
 
@@ -261,7 +261,7 @@ def _unused(name: str, source: Source, taken: Set[tuple[str, str]]) -> str:
     if not any(of == name for of, _ in taken):
         return "            no route uses it\n"
     if "structure" not in getattr(source, "model_fields_set", ()):
-        return ""  # the packet format is not the user's choice
+        return ""  # the kind of source determines the events
     known = {getattr(source, key, "") for key in ("sequence", "time", "lock")}
     unused = [e for e in source.events if (name, e) not in taken and e not in known]
     if not unused:
@@ -327,7 +327,7 @@ def _by_both(robot: Any, q: Any) -> dict[str, Any]:
     from ..robots.assemble.world import World
     from ..robots.declared.scene import Scene
 
-    # The mount does not affect the transform from base to flange.
+    # The mount does not affect the base-to-flange transform.
     alone = robot.model_copy(update={"mount": None})
     world = World(Scene(robots=[alone], floor=False))
     data = world.make_data()

@@ -40,7 +40,7 @@ parallel by local processes or by the workers of a Dask cluster, and the report 
 recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
 """
 GROUP, ORDER = "analyze", 40
-_WIDTH = 70  # of explanations in a table of many recordings
+_WIDTH = 70  # maximum width of explanations in a table of many recordings, characters
 _BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
@@ -89,7 +89,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     @model_validator(mode="after")
     def _check_second(self) -> Self:
         if self.b is not None and self.against_model and not self.each:
-            expected = "one recording, or also --each"
+            expected = "one recording, or the option --each"
             raise ValueError(f"--against-model: found a second recording; expected {expected}")
         if self.b is None or self.each:
             why = "--each" if self.each else "a single recording"
@@ -124,7 +124,7 @@ def _compare_two(options: CompareOptions) -> int:
     differences = compare(pair)
     over = exceeded(differences, **_tolerances(options))
     if options.tolerance_torque is not None and "torques" not in pair.signals:
-        raise UsageError("--tolerance-torque: torques are not in both recordings")
+        raise UsageError("--tolerance-torque needs torques in both recordings")
     if options.as_json:
         found = as_json(pair, differences, explanations)
         print_json({**found, "about": about, "exceeded": list(map(str, over))})
@@ -132,10 +132,10 @@ def _compare_two(options: CompareOptions) -> int:
         print_table(as_table(pair, differences))
         if pair.correlation is not None:
             print(f"offset {pair.offset:+.4f} s, correlation of the motions {pair.correlation:.3f}")
-        if explanations is not None:
-            print_table(explanations_table(pair, explanations))
         for line in about:
             print(line)
+        if explanations is not None:
+            print_table(explanations_table(pair, explanations))
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
@@ -152,10 +152,11 @@ def _compare_two(options: CompareOptions) -> int:
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Returns the results of one recording of a batch by column; see `EachRecording`.
+    """Compares one recording of a batch; returns a mapping from column names to results.
 
-    The columns are `seconds`, `peak` and `rms` of each signal at its worst `joint`, the `exceeded`
-    tolerances, the explanations (`explained`), and their short forms (`faults`).
+    `shared` contains the options of the command. The columns are the duration (`seconds`), `peak`
+    and `rms` of each signal at its worst `joint`, the `exceeded` tolerances, the explanations
+    (`explained`), and their short forms (`faults`).
     """
     from ..study.compare import compare, exceeded
 
@@ -200,7 +201,7 @@ def _compare_many(options: CompareOptions) -> int:
         choose_robot(options.read(options.a, of_a or None), name or None)
     needed += options.files()
     rows = examine_each(options, f"{__name__}:outcomes", recordings, needed, quiet=options.quiet)
-    # With --each, angles are the same on both sides.
+    # With --each, both sides have the same angles.
     signals = {"torques": "torque peak"} | ({} if options.each else {"joint_angles": "angle peak"})
     status = report_rows(
         rows,
@@ -257,7 +258,7 @@ def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
     pair = align(a, b, options.robot, options.offset)
     robots = choose_robots(a, b, options.robot)
     if "torques" not in pair.signals:
-        return pair, None, ["no explanation: torques are not in both recordings"]
+        return pair, None, ["no explanation: both recordings must have torques"]
     explainer = find_explainer()
     try:
         found = None if explainer is None else explainer.of_two(a, b, robots, pair.offset)

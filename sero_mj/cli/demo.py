@@ -32,7 +32,7 @@ class DemoOptions(Options):
     Attributes:
         out: output folder (default: out).
         duration: duration of the video, s.
-        size: width and height, pixels.
+        size: width and height of the image and the video, pixels.
     """
 
     out: Annotated[Path, Option("OUT", ("-o", "--out"))] = Path("out")

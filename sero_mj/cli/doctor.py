@@ -64,8 +64,8 @@ real time: `chrt -f 50 sero-mj simulate ...` and `chrt -f 50 my_controller` run 
 _NO_FIFO = """\
 real time: SCHED_FIFO is not permitted, so steps may be delayed by other programs. On Linux, run
   echo "USER - rtprio 80" > /etc/security/limits.d/rtprio.conf as root, and log in again"""
-_SMOOTH = 0.04  # s per frame, limit for a smooth view
-_TRIAL_SIDE = 64  # pixels
+_SMOOTH = 0.04  # maximum render time of a frame for a smooth view, s
+_TRIAL_SIDE = 64  # width and height of test images, pixels
 
 
 def check_machine(*, as_json: bool) -> int:
@@ -174,7 +174,10 @@ def _about_speed(backend: str, times: dict[str, float]) -> str:
 
 
 def try_backend(name: str) -> dict[str, Any]:
-    """Renders with a backend in another process."""
+    """Renders a test image with a backend in another process.
+
+    Returns `works`, with the `renderer` and its render time `ms`, or the `reason` of a failure.
+    """
     try:
         done = _python(_TRIAL, name)
     except subprocess.TimeoutExpired:

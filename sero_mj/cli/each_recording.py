@@ -1,4 +1,4 @@
-"""Examines many recordings on the engine that `--engine` selects; prints a row per recording."""
+"""Examines many recordings on the engine that `--engine` selects, and prints a row for each."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 _MISSING = "no such file"
-Rows = list[tuple[Path, dict[str, Any]]]  # a recording and its outcomes
+Rows = list[tuple[Path, dict[str, Any]]]  # recordings and their results by column
 
 
 def examine_each(
@@ -29,10 +29,10 @@ def examine_each(
     *,
     quiet: bool = False,
 ) -> Rows:
-    """Returns the results of all recordings in order, or fewer if interrupted.
+    """Examines recordings in parallel; returns their results in order, or fewer if interrupted.
 
     `study` is the `module:name` of a function that takes the options as plain values and the path
-    of a recording, and returns results by column. `needed` lists further files in the options.
+    of a recording, and returns results by column. `needed` lists other files that the study reads.
     """
     from ..study.engine import EachRecording, Work
 
@@ -92,9 +92,10 @@ def report_rows(
     *,
     quiet: bool,
 ) -> int:
-    """Writes and prints rows and errors of `count` recordings.
+    """Writes rows to the file `to`, and prints the table and the errors.
 
-    Returns the exit status: 130 if interrupted, 2 if a recording failed, else 0.
+    Returns the exit status: 130 if there are fewer than `count` rows because of an interruption,
+    2 if a recording failed, otherwise 0.
     """
     if to is not None:
         _write(rows, to)

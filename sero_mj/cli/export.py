@@ -59,15 +59,15 @@ class ExportOptions(SceneArgument, ShownOptions):
     """Write a scene or run as a page, glTF, table, MJCF, TOML or X3D file.
 
     Attributes:
-        scene: scene, scenario, robot or recording: file or included name.
+        scene: file or included name of a scene, scenario, robot or recording.
         file: output file; same as --output.
         output: output file; the file name's ending selects the format.
-        seconds: duration, s (default: until the end, or 10 s for live sources).
+        seconds: duration to export, s (default: until the end, or 10 s for live sources).
         begin: start time in the run, s.
         end: end time in the run, s.
         fps: frames per second.
         name: title of the page (default: the name of the scene).
-        joint_order: robot whose joint order a table has; also a scene with one robot.
+        joint_order: robot, or scene with one robot, that determines the joint order of a table.
         overwrite: replace an existing table, TOML or X3D file.
         quiet: print nothing.
     """
@@ -114,11 +114,11 @@ class ExportOptions(SceneArgument, ShownOptions):
 
     @property
     def length(self) -> float | None:
-        """The duration in seconds, or None for the rest of the run."""
+        """Duration to export in seconds, or None for the rest of the run."""
         return self.seconds if self.end is None else self.end - (self.begin or 0.0)
 
     def accept(self, *names: str) -> None:
-        """Raises UsageError for an option that the format does not support."""
+        """Raises UsageError if an option other than the supported options `names` is set."""
         always = {"scene", "file", "output", "quiet", "package", "arg", *names}
         others = [name for name in type(self).model_fields if name not in always]
         self.refuse(others, f" is not available for {self.ending} files")
@@ -151,7 +151,7 @@ def write_page_of(options: ExportOptions) -> int:
 
 
 def capture_run(options: ExportOptions) -> tuple[Scene, CapturedRun]:
-    """Returns the scene of the options and the run captured from it."""
+    """Loads the scene of the options and captures its run; returns both."""
     from ..viewer.player.capture import capture
     from .opening import with_scene
 
@@ -184,7 +184,7 @@ def report_size(options: ExportOptions) -> int:
 
 
 def write_mjcf(options: ExportOptions) -> int:
-    """Writes MJCF and its mesh files; returns 0."""
+    """Writes a scene as MJCF with its mesh files; returns 0."""
     from ..robots.assemble.world import World
 
     options.accept("settings")
@@ -241,6 +241,7 @@ def _replay_by_robot(options: ExportOptions) -> Replay | None:
     """Returns a replay of a ROS recording whose messages name no joints, such as transforms.
 
     The joints are those of the robot in `--scene`, or of the robot that the recording describes.
+    Returns None for other recordings.
     """
     from ..data.drive.wiring import wired_source
     from ..data.record.formats import look_into, open_recording
@@ -288,7 +289,7 @@ def _in_order(
         if not robots:
             shipped = recording.shipped_robots(options.source)
             robots = [load_robot(name) for name in shipped]
-    else:  # our own recordings have the order of the robot
+    else:  # recordings of sero-mj have the joint order of the robot
         return [], ""
     orders: list[list[str]] = []
     for robot in robots:

@@ -99,7 +99,7 @@ _Limbs: TypeAlias = Mapping[str, Sequence[int]]
 
 class _Source(NamedTuple):
     described: ImportedTables
-    write: Callable[[Path, _Limbs], str]  # writes meshes to a folder, returns the robot file
+    write: Callable[[Path, _Limbs], str]  # writes meshes to a folder; returns the robot file's text
     why_no_table: str
 
 

@@ -145,7 +145,7 @@ def _print_scenario_fields() -> None:
 
 
 def scene_tables() -> dict[str, type[Declaration]]:
-    """Returns a mapping from table headers of robot and scene files to declarations."""
+    """Returns a mapping from the table headers of robot and scene files to declarations."""
     from ..robots.declared.cartesian import ReceivedFrame, SmartArrow
     from ..robots.declared.couplings import Coupling
     from ..robots.declared.double import Double
@@ -175,7 +175,7 @@ def scene_tables() -> dict[str, type[Declaration]]:
 
 
 def scenario_tables() -> dict[str, type[Declaration]]:
-    """Returns a mapping from additional table headers of scenario files to declarations."""
+    """Returns a mapping from the additional table headers of scenario files to declarations."""
     from ..simulate.control.make_controller import controller_kinds
     from ..simulate.control.plan import target_motion_kinds
     from ..simulate.disturbances import DISTURBANCES, FAULTS

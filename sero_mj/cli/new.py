@@ -39,8 +39,8 @@ counter, a time (s), and angles (rad), measured and commanded torques (Nm) of al
 little-endian float64. NaN means no data.
 """
 _MAX_JOINTS = 64
-# The example arm: heights and lengths in m, ratios of each link and joint to the previous one,
-# torques in Nm, and angles in rad of every second joint that bend the arm.
+# Dimensions of the example arm: heights and lengths in m, torques in Nm, ratios of each link and
+# joint to the previous one, and angles of the joints that bend the arm (every second joint) in rad.
 _BASE_HEIGHT, _FIRST_LENGTH, _LENGTH_RATIO = 0.34, 0.4, 0.85
 _FIRST_TORQUE, _TORQUE_RATIO = 150.0, 0.7
 _BENT = (0.5, 1.1, 0.7)
@@ -114,9 +114,9 @@ class NewOptions(Options):
     Attributes:
         name: name of the robot.
         joints: number of joints.
-        like: robot to copy: included name or folder.
+        like: included name or folder of a robot to copy.
         snippet: name of example code to print instead of writing files.
-        robot: robot in the scene of the snippet: file or included name.
+        robot: file or included name of the robot in the scene of the snippet.
         host: address at which the robot's computer reaches sero-mj.
         port: UDP port to which the example code sends.
         scene: print the scene or scenario of the snippet instead of the code.
@@ -198,7 +198,10 @@ def print_next(scene: Path) -> None:
 
 
 def scene_text(name: str, n: int, more: str = "", joints: str = "") -> str:
-    """Returns a scene that mirrors a robot with n independent joints."""
+    """Returns the text of a scene that mirrors a robot with n independent joints.
+
+    `more` contains further keys of the scene, and `joints` comments on the order of the joints.
+    """
     return _SCENE.format(name=name, n=n, more=more, joints=joints)
 
 
@@ -218,7 +221,7 @@ def _copy(model: Path, to: Path) -> None:
 
 
 def robot_text(name: str, n: int) -> str:
-    """Returns the robot file of an arm with n joints.
+    """Returns the text of a robot file for an example arm with n joints.
 
     The joint axes are alternately parallel and perpendicular to the links.
     """
@@ -300,12 +303,12 @@ _JOINTS = re.compile(r"(JOINTS\b[^\d\n]{1,9})\d+")
 
 
 class Snippet(NamedTuple):
-    """Example code in a file of the folder `snippets` of a package.
+    """Example code, stored in the folder `snippets` of a package.
 
-    A package adds a snippet by an entry point in the group `sero_mj.snippets` with its name.
+    A package adds a snippet by an entry point of the same name in the group `sero_mj.snippets`.
 
     Attributes:
-        robot: robot in the scene of the snippet.
+        robot: default robot in the scene of the snippet.
         commanded: expression that is appended to the route of the commanded torques.
     """
 
@@ -320,7 +323,7 @@ class Snippet(NamedTuple):
 
 
 def snippets() -> Mapping[str, Snippet]:
-    """Returns a mapping from snippet names to all snippets."""
+    """Returns a mapping from names to snippets, including those of other packages."""
     files = sorted(each.name for each in (resources.files(__package__) / "snippets").iterdir())
     own = {PurePath(name).stem: Snippet(__package__, name) for name in files if "." in name}
     own["lcm"] = own["lcm"]._replace(robot="iiwa14")

@@ -1,6 +1,6 @@
 """Selects the scene that shows a file or address.
 
-The file or address comes from the command line, a drop or the start page.
+The file or address comes from the command line, the start page, or drag and drop.
 """
 
 from __future__ import annotations
@@ -34,8 +34,9 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     """Returns the view that shows a robot, scene, scenario or recording.
 
     A recording is shown in the scene `shown` if this scene has the recorded sources. Otherwise,
-    it is shown in a scene with the recorded name: a recent scene, a scene in the same folder, a
-    included scene, or the scene that is stored in the recording.
+    it is shown in a scene with the recorded name: a recent scene, a scene in the same folder, an
+    included scene, or the scene that is stored in the recording. `source` selects the source of a
+    ROS recording.
 
     Raises:
         SeroError: the file does not exist, or no scene shows the recording.
@@ -68,7 +69,7 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
 
 
 def with_scene(options: T) -> T:
-    """Replaces a recording or a network address such as `ros2://` by its scene in the options."""
+    """Returns the options with a scene instead of a recording or an address such as `ros2://`."""
     if options.scene is not None and (found := network_scene(str(options.scene))) is not None:
         return options.model_copy(update={"scene": found})
     if options.scene is None or not is_recording(options.scene):
@@ -118,5 +119,5 @@ def _scenes_of(path: Path, shown: str | None, source: str | None) -> Iterator[st
 
 
 def is_temporary(view: RecentView) -> bool:
-    """Whether a view has temporary files, such as those dropped on a page."""
+    """Whether a view uses temporary files, such as files that were dropped on a page."""
     return any(paths.is_temporary(name) for name in view)

@@ -95,10 +95,10 @@ def _help(about: str, default: Any) -> str:
     return text
 
 
-def read_options(kind: type[T], given: Mapping[str, Any]) -> T:
+def read_options(kind: type[T], parsed: Mapping[str, Any]) -> T:
     """Converts a parsed command line to a declaration; raises DeclarationError if it is invalid."""
     try:
-        return kind(**{name: given[name] for name in kind.model_fields if name in given})
+        return kind(**{name: parsed[name] for name in kind.model_fields if name in parsed})
     except DeclarationError as error:
         problems = [
             replace(problem, key=_spelled(kind, problem.key.partition(".")[0]))

@@ -56,7 +56,7 @@ class PlotOptions(PartOptions):
 
 
 def run(options: PlotOptions) -> int:
-    """Draws the figure; returns 0."""
+    """Draws the torques of the recordings; returns 0."""
     output = options.output
     if len(options.recordings) > 1 and output.suffix.lower() != ".pdf":
         raise UsageError(

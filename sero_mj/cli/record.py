@@ -43,7 +43,7 @@ udp.values0. It can use + - * / and abs, min, max, norm, any, all. A condition o
 holds if it holds for at least one of them.
 """
 
-_INTERVAL = 0.25  # s between updates of the progress line
+_INTERVAL = 0.25  # time between updates of the progress line, s
 GROUP, ORDER = "receive", 22
 
 
@@ -51,10 +51,10 @@ class TriggerOptions(Options):
     """Options for recording events.
 
     Attributes:
-        trigger: record only packets that satisfy this condition, and packets around this event.
-        before: recorded time before an event, s.
-        after: recorded time after the last packet of an event, s.
-        replay: search a recording for events instead of live sources.
+        trigger: record only the packets that satisfy this condition, and those around them.
+        before: time to record before an event, s.
+        after: time to record after the last packet of an event, s.
+        replay: search for events in a recording instead of live sources.
     """
 
     title: ClassVar[str] = "recording events"
@@ -74,10 +74,10 @@ class RecordOptions(SceneArgument, TriggerOptions):
     """Record the packets of a scene's sources as MCAP.
 
     Attributes:
-        scene: scene: file or included name.
+        scene: file or included name of a scene.
         output: output file; with --trigger, also a folder (default: the current folder).
         out: output file or folder; same as OUT.mcap.
-        duration: duration, s (default: until Ctrl+C).
+        duration: recording time, s (default: until Ctrl+C).
         signals_rate: rate of decoded values of each source for other programs, 1/s; packets are
             always recorded at the full rate.
         overwrite: replace an existing file.
@@ -112,7 +112,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
 
 
 def run(options: RecordOptions) -> int:
-    """Records packets; returns 0, or 1 if no packet arrived."""
+    """Records the packets of a scene's sources; returns 0, or 1 if no packet arrived."""
     from ..data.drive.record_sources import record_sources
     from ..data.drive.wiring import wire
 
@@ -169,7 +169,7 @@ def _record_events(options: RecordOptions, condition: str) -> int:
     from ..data.record.recording_format import RecordingClock
 
     scene = read_scene(options.scene, replay=options.replay)
-    begin = time.time() - time.monotonic()  # zero of the arrival clock, s since the epoch
+    begin = time.time() - time.monotonic()  # Unix time at which the arrival clock is zero, s
     more: dict[str, Any] = {}
     if options.replay is not None:
         replay_instead(scene, options.replay, 0.0)

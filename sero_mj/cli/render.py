@@ -89,11 +89,11 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
 
 
 def run(options: RenderOptions) -> int:
-    """Renders the image or video; returns 0."""
+    """Renders an image or a video; returns 0."""
     from .opening import with_scene
 
     options = with_scene(options)
-    if options.clicks:  # prints what each click hit
+    if options.clicks:  # the log shows the part that each click hits
         logging.getLogger("sero_mj.viewer.image.painter").setLevel(logging.INFO)
     if options.over is not None:
         from .shared_options import find_background
@@ -129,7 +129,10 @@ def video_with_progress(
     quiet: bool = False,
     make: Callable[..., list[str]] | None = None,
 ) -> list[str]:
-    """Renders a video, with a progress bar unless `quiet`; returns the silent sources."""
+    """Renders a video and shows a progress bar; `make` replaces `render_video`.
+
+    Returns the names of the sources from which no valid packet arrived.
+    """
     from ..viewer.image.render import render_video
 
     frames = 0

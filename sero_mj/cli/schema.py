@@ -16,12 +16,12 @@ Schema = dict[str, Any]
 
 
 def schema_text(kind: str) -> str:
-    """Returns the schema of one kind of file as JSON."""
+    """Returns the JSON schema of a kind of file as text."""
     return json.dumps(schema_of(kind), indent=1) + "\n"
 
 
 def schema_of(kind: str) -> Schema:
-    """Returns the schema of one of `KINDS`."""
+    """Returns the JSON schema of a kind of file, which is one of `KINDS`."""
     definitions = _Definitions()
     sections = {
         "robot": lambda: definitions.fields("SerialRobot"),
@@ -40,7 +40,7 @@ def schema_of(kind: str) -> Schema:
 
 
 class _Definitions:
-    """Schemas of all declarations by class name, with descriptions of their fields."""
+    """The JSON schemas of all declarations by class name, with descriptions of the fields."""
 
     def __init__(self) -> None:
         from pydantic.json_schema import models_json_schema
@@ -162,7 +162,7 @@ def _scenario_sections(definitions: _Definitions) -> dict[str, Schema]:
     table, of_kind = definitions.table, definitions.of_kind
     motions = of_kind(target_motion_kinds())
     for motion in motions["oneOf"]:
-        if motion["title"] == "recorded":  # a file names a recording instead of values
+        if motion["title"] == "recorded":  # scenarios name a recording instead of values
             motion["properties"] |= {"file": _TEXT, "of": _TEXT}
     sensor = table("SensorErrors")
     sensors = {"type": "object", "additionalProperties": False,

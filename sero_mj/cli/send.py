@@ -25,11 +25,11 @@ if TYPE_CHECKING:
     from ..robots.declared.scene import Scene
     from ..simulate.simulation import Simulation
 
-_INTERVAL = 0.05  # s between updates of a simulation that sends no packets
+_INTERVAL = 0.05  # time between updates of a simulation that sends no packets, s
 
 
 class SinkOptions(Options):
-    """Layout and destination of packets.
+    """Options for the layout and destination of packets.
 
     Attributes:
         source: source of the scene that receives the packets, if there are several sources.
@@ -48,12 +48,12 @@ class SinkOptions(Options):
 
 
 def goes_to_shm(options: SinkOptions, source: Source) -> bool:
-    """Whether packets go to shared memory: with `--shm`, or if the source reads shared memory."""
+    """Whether packets go to shared memory, because of `--shm` or the kind of the source."""
     return options.shm is not None or (source.memory is not None and options.port is None)
 
 
 def make_sink(options: SinkOptions, source: Source, structure: Structure) -> UdpSink | ShmWriter:
-    """Returns the sink in the options, or by default the sink for the source's address."""
+    """Returns a sink for the destination in the options, or else for the source's address."""
     from ..data.send.sender import ShmWriter, UdpSink
 
     if goes_to_shm(options, source):
@@ -70,17 +70,17 @@ def make_sink(options: SinkOptions, source: Source, structure: Structure) -> Udp
         reason = "is a recording, which cannot receive packets. Add --port and --host."
         raise UsageError(f"source '{source.name}' of the scene {reason}")
     if source.place is None and not port:
-        how = "which does not receive UDP packets. Use --port to send its packets to a UDP port"
+        how = "which does not receive UDP packets. Use --port to send its packets to a UDP port."
         raise UsageError(f"source '{source.name}' is {source.about}, {how}")
     if not port:
-        reason = "listens on a port that the system chooses (port = 0). Use --port to set it"
+        reason = "listens on a port that the system chooses (port = 0). Use --port to set the port."
         raise UsageError(f"source '{source.name}' of the scene {reason}")
     message_of = source.message_of if options.structure is None else None
     return UdpSink(options.host or "127.0.0.1", port, message_of)
 
 
 def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
-    """Runs a simulation in real time; yields each range of new rows of its log."""
+    """Runs a simulation in real time; yields ranges (first, stop) of new rows in its log."""
     from ..simulate.real_time import RealTimeWatch
 
     timestep, watch = simulation.scenario.run.timestep, RealTimeWatch(simulation.scenario.name)
@@ -100,7 +100,7 @@ def in_real_time(simulation: Simulation) -> Iterator[tuple[int, int]]:
 
 
 class Sender:
-    """Runs a simulation and sends it to a source of a scene."""
+    """A sender that runs a simulation in real time and sends it to a source of a scene."""
 
     def __init__(self, simulation: Simulation, name: str, options: SinkOptions) -> None:
         from ..data.send.play import MotionPackets
@@ -120,7 +120,7 @@ class Sender:
         self._sink.close()
 
     def run(self) -> Iterator[tuple[int, int]]:
-        """Sends one packet per step in real time; yields the range of new rows of the log."""
+        """Sends one packet per step; yields the range (first, stop) of new rows in the log."""
         from ..data.send.sender import send
 
         simulation = self._simulation
@@ -188,10 +188,10 @@ class PlayOptions(Options):
 
 
 class ControllerOptions(Options):
-    """Options for sending like a robot controller, for sources with a controller's protocol.
+    """Options for sending with the protocol of a robot controller.
 
     Attributes:
-        cycle: time between packets, 1 to 100, ms (default: 5).
+        cycle: time between packets, 1 to 100 ms (default: 5).
         loss: share of lost packets, 0 to 1.
         quality: reported connection quality: unacceptable, bad, ok, perfect or invalid (default:
             computed from the replies, or ok if the scene sends no replies).
@@ -210,7 +210,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
 
     Attributes:
         rate: packets per second (default: 1000; FRI: 200).
-        duration: duration, s (default: until Ctrl+C).
+        duration: sending time, s (default: until Ctrl+C).
         amplitude: amplitude of the motion, from 0 (no motion) to 1.
     """
 

@@ -56,7 +56,7 @@ _LOCAL = "local"
 
 
 def is_recording(path: Path | str) -> bool:
-    """Whether a file or folder is a recording (MCAP or ROS bag) or a table, judged by its name."""
+    """Whether a file or folder is a recording (MCAP or ROS bag) or a table, without reading it."""
     if str(path).lower().endswith((".mcap", ".bag", ".bag.active", ".db3", *TABLE_ENDINGS)):
         return True
     return bool(str(path)) and (
@@ -65,10 +65,10 @@ def is_recording(path: Path | str) -> bool:
 
 
 class SceneArgument(Options):
-    """The scene of a command.
+    """The positional argument of commands that need a scene.
 
     Attributes:
-        scene: scene or robot: file or included name.
+        scene: file or included name of a scene or robot.
     """
 
     scene: Annotated[str, positional("SCENE")]
@@ -99,10 +99,10 @@ def _argument(text: str) -> str:
 
 
 class PackageOptions(Options):
-    """Packages and arguments of robots in URDF and xacro.
+    """Options for robots in URDF and xacro.
 
     Attributes:
-        package: name and folder of a ROS package to which a URDF file refers; repeatable.
+        package: name and folder of a ROS package that a URDF file uses; repeatable.
         arg: xacro argument, for example ur_type=ur5e; repeatable.
     """
 
@@ -110,19 +110,19 @@ class PackageOptions(Options):
     arg: Annotated[list[Annotated[str, AfterValidator(_argument)]], Option("NAME=VALUE")] = []
 
     def apply(self) -> None:
-        """Sets environment variables for importers in this process and in child processes."""
+        """Passes the options to importers, also in child processes, by environment variables."""
         for name, _, folder in (text.partition("=") for text in self.package):
             known = os.environ.get(PACKAGES_VARIABLE)
             own = f"{name}={Path(folder).resolve()}"
             os.environ[PACKAGES_VARIABLE] = f"{own}{os.pathsep}{known}" if known else own
         if self.arg:
-            given = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
-            given |= dict(text.split("=", 1) for text in self.arg)
-            os.environ[ARGUMENTS_VARIABLE] = json.dumps(given)
+            arguments = json.loads(os.environ.get(ARGUMENTS_VARIABLE) or "{}")
+            arguments |= dict(text.split("=", 1) for text in self.arg)
+            os.environ[ARGUMENTS_VARIABLE] = json.dumps(arguments)
 
 
 class SettingOptions(PackageOptions):
-    """Settings that override a scene.
+    """Options that override fields of a scene.
 
     Attributes:
         settings: override a field of the scene; repeatable.
@@ -132,7 +132,7 @@ class SettingOptions(PackageOptions):
 
 
 class ReplayOptions(Options):
-    """A recording that replaces live sources.
+    """Options for replaying a recording instead of live sources.
 
     Attributes:
         replay: play a recording or a table (.csv) instead of the live sources.
@@ -158,7 +158,10 @@ class ReplayOptions(Options):
         return self
 
     def read_replayed(self, name: str, settings: Sequence[str] = (), **how: bool) -> Scene:
-        """Loads a scene; with --replay, replaces its sources by the recording. See `load_scene`."""
+        """Loads a scene; with --replay, the recording replaces the sources of the scene.
+
+        `how` contains further options of `load_scene`.
+        """
         scene = read_scene(name, settings, replay=self.replay, **how)
         if self.replay is not None:
             replay_instead(scene, self.replay, self.start, self.source, self.columns)
@@ -175,7 +178,7 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
     look: Literal["light", "dark"] | None = None
 
     def read(self, name: str, *, by_hand: bool = False, trusted: bool = False) -> Scene:
-        """Loads a scene and applies these options to it, see `load_scene`."""
+        """Loads a scene and applies these options; the flags are those of `load_scene`."""
         by_hand = by_hand and self.replay is None
         scene = self.read_replayed(name, self.settings, by_hand=by_hand, trusted=trusted)
         if self.look is not None:
@@ -187,12 +190,12 @@ class ShownOptions(CameraOptions, SettingOptions, ReplayOptions):
         return scene
 
     def from_its_begin(self) -> Self:
-        """Returns the options with --start 0, so that a replay starts when the recording began."""
+        """Returns options with --start 0, so that a replay starts when the recording began."""
         return self if self.replay is None else self.model_copy(update={"start": 0.0})
 
 
 class EyeOptions(StereoOptions):
-    """Stereo images."""
+    """Options for stereo images."""
 
     @model_validator(mode="after")
     def _check_eyes(self) -> Self:
@@ -253,14 +256,14 @@ class RunOptions(Options):
         return [*scene.files(), *(mesh for _, mesh in scene.meshes())]
 
     def read(self, path: Path, source: str | None) -> RunLog:
-        """Reads a recording or a table; None selects all sources."""
+        """Reads one source of a recording or a table; `source` is None for all sources."""
         robots = vars(self).get("robot") or ()
         names = robots.split(",") if isinstance(robots, str) else robots
         return read_recorded_run(path, source, self._declared, names, self.columns)
 
 
 class EngineOptions(Options):
-    """Parallel execution.
+    """Options for parallel execution.
 
     Attributes:
         jobs: number of processes (default: one per core).
@@ -293,7 +296,7 @@ class EngineOptions(Options):
         return self
 
     def make_engine(self) -> Engine:
-        """Returns the engine that runs the tasks."""
+        """Returns the engine that these options select."""
         if self.engine == _LOCAL:
             from ..study.engine import Processes, available_cpus
 
@@ -303,7 +306,7 @@ class EngineOptions(Options):
 
 
 class PartOptions(RunOptions):
-    """Time range of recordings.
+    """Options for the time range of recordings.
 
     Attributes:
         begin: start time, s (default: the first packet).
@@ -320,18 +323,21 @@ class PartOptions(RunOptions):
         return self
 
     def read_part(self, path: Path) -> RunLog:
-        """Reads the requested source and time range of a recording or a table."""
+        """Reads the selected source and time range of a recording or a table."""
         log = self.read(path, self.source)
         is_whole = self.begin is None and self.end is None
         return log if is_whole else log.between(self.begin, self.end)
 
 
 class Background(ABC):
-    """Draws scenes over photos and videos of the real robot. It is created without arguments."""
+    """An extension, created without arguments, that draws scenes over photos and videos."""
 
     @abstractmethod
     def render(self, options: Options, over: Path) -> list[str]:
-        """Renders an image or video over a photo or video; returns the silent sources."""
+        """Renders a scene over the photo or video `over`.
+
+        Returns the names of the sources from which no valid packet arrived.
+        """
 
     @abstractmethod
     def viewport(

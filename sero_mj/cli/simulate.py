@@ -53,7 +53,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     """Run a scenario faster than real time and evaluate its expectations.
 
     Attributes:
-        scenario: scenario: file or included name.
+        scenario: file or included name of a scenario.
         record: record every step in an MCAP file.
         signals_rate: rate of decoded values in the recording for other programs, 1/s; 0 for none.
         csv: write every step to a table.
@@ -65,7 +65,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
         seed: seed of the noise; overrides the seed in the scenario.
         settings: override a field, for example controllers.lwr.stiffness=200; repeatable.
         real_time: run no faster than real time.
-        send: scene whose source receives the run in real time; sets packet layout and routes.
+        send: scene whose source receives the run in real time; defines packet layout and routes.
         overwrite: replace an existing recording.
         as_json: print the result as JSON.
         quiet: print only failed expectations.
@@ -89,7 +89,7 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
 
     @property
     def is_image(self) -> bool:
-        """Whether the output is an image, not a video."""
+        """Whether --render writes an image instead of a video."""
         return self.render is not None and self.render.suffix.lower() not in VIDEO_FORMATS
 
     @model_validator(mode="after")
@@ -112,7 +112,7 @@ def run(options: SimulateOptions) -> int:
     from ..simulate.simulation import Simulation
 
     for path in (options.record, options.csv, options.plot, options.render):
-        if path is not None:  # fails now, and not after the run
+        if path is not None:  # an error is reported before the run
             path.parent.mkdir(parents=True, exist_ok=True)
     settings = overrides(options.settings)
     with named_settings(settings):

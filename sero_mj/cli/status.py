@@ -37,7 +37,7 @@ The command opens the sources of the scene, so no viewer can use the same ports 
 It counts rejected packets by cause. The exit status is 1 if a source received no valid packet.
 """
 
-_INTERVAL = 0.25  # s between updates
+_INTERVAL = 0.25  # time between updates, s
 _INFO_ROWS = ("state", "controller", "clock", "received", "blanked")  # other rows report errors
 GROUP, ORDER = "receive", 20
 
@@ -46,8 +46,8 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
     """Show packet rates and errors of the sources of a scene.
 
     Attributes:
-        scene: scene or recording: file or included name.
-        duration: duration, s (default: until Ctrl+C).
+        scene: file or included name of a scene or recording.
+        duration: observation time, s (default: until Ctrl+C).
         topics: list the topics at an address such as ros2://, and the robots that a topic can move.
         as_json: print only JSON, at the end.
     """
@@ -167,11 +167,11 @@ def _print(found: list[dict[str, Any]]) -> None:
             print(f"  {what:15} {count:>10}  {why}")
 
 
-_CHECKED = 5  # positions of a recording
+_CHECKED = 5  # number of checked times in a recording
 
 
 class DegreesCheck:
-    """Checks whether the joint angles that routes take from sources look like degrees."""
+    """A check that warns if joint angles from sources look like degrees instead of radians."""
 
     def __init__(self, scene: Scene, wiring: Wiring) -> None:
         self._routes = [
@@ -192,7 +192,7 @@ class DegreesCheck:
         return ""
 
     def check_recording(self, replay: FileSource) -> str:
-        """Returns a warning about packets at some times of a recording, or an empty string."""
+        """Returns a warning about packets at sampled times of a recording, or an empty string."""
         is_routed = any(str(route.direct) == replay.name for route, _ in self._routes)
         if not is_routed or replay.recorded.is_unreadable:
             return ""

@@ -176,7 +176,7 @@ def _print_layout(layout: Structure, title: str = "") -> None:
         console.print(f"{title}{layout.text}: {', '.join(notes)}", style="bold")
         console.print(table)
     for line in captured.get().splitlines():
-        print(line.rstrip(), file=console.file)  # already escaped, with colors
+        print(line.rstrip(), file=console.file)  # the console has already escaped the text
 
 
 def _type_in_words(item: Item) -> str:

@@ -18,7 +18,11 @@ if TYPE_CHECKING:
 
 
 class EscapedStream:
-    """A text stream that writes control and invisible characters as escapes to `plain`."""
+    """A wrapper of a text stream that escapes control and invisible characters.
+
+    Attributes:
+        plain: wrapped stream.
+    """
 
     def __init__(self, stream: Any) -> None:
         self.plain = stream
@@ -45,7 +49,7 @@ def escape_output() -> None:
 
 
 def plain(stream: Any) -> Any:
-    """Returns the stream below an `EscapedStream`, or the stream itself."""
+    """Returns the stream that an `EscapedStream` wraps, or any other stream unchanged."""
     return stream.plain if isinstance(stream, EscapedStream) else stream
 
 
@@ -57,7 +61,7 @@ def make_console(*, stderr: bool = False, width: int | None = None) -> Console:
 
     class EscapedConsole(Console):
         def render_str(self, text: str, **how: Any) -> Text:
-            # Escaped before the layout, which depends on the length.
+            # The text is escaped before the layout, because escapes change its length.
             return super().render_str(printable(text), **how)
 
         def render(self, renderable: Any, options: Any = None) -> Iterable[Segment]:
@@ -77,5 +81,5 @@ def make_console(*, stderr: bool = False, width: int | None = None) -> Console:
 def _print_traceback(
     kind: type[BaseException], error: BaseException, frames: TracebackType | None
 ) -> None:
-    # Without colors, which would be escaped.
+    # Colors are omitted, because their control sequences would be escaped.
     sys.stderr.write("".join(traceback.format_exception(kind, error, frames)))

@@ -51,7 +51,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     """Show a scene live in a window or on a web page.
 
     Attributes:
-        scene: scene, robot or recording: file or included name (default: show a start page).
+        scene: file or included name of a scene, robot or recording (default: show a start page).
         window: open a window on this screen (default: on if there is a display).
         web: serve a web page instead of opening a window.
         port: port of the page (default: the first free port from 8080).
@@ -68,7 +68,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         fresh: show the scene as declared instead of restoring the last view.
         trust: folder whose scenarios may start programs, even if a scenario is dropped on the page
             or opened there; repeatable.
-        over: draw over camera images: a camera number such as 0, an address, or a video file.
+        over: draw over the images of a camera (a number such as 0, or an address) or a video file.
     """
 
     scene: Annotated[str | None, positional("SCENE")] = None
@@ -127,7 +127,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
 
 
 def run(options: ViewOptions) -> int:
-    """Shows a scene or the start page, and scenes opened from it, until closed; returns 0."""
+    """Shows a scene or the start page until the user closes it; returns 0."""
     from .opening import with_scene
 
     for folder in options.trust:
@@ -157,10 +157,10 @@ add_to = command("view", run, ViewOptions, _HELP)
 
 
 class Session:
-    """Shows the start page and scenes one after another.
+    """A run of `sero-mj view`, which shows the start page and scenes one after another.
 
     Attributes:
-        plain: the current scene as declared, without a simulation.
+        plain: current scene as declared, without a simulation.
         is_at_start: whether the start page is shown next.
     """
 
@@ -176,7 +176,7 @@ class Session:
         self._last: tuple[mujoco.MjvCamera, dict[str, bool], ViewState] | None = None
         self._is_announced = False
         self._announced_sources: set[str] = set()
-        self._warnings: list[str] = []  # from reading the next scene
+        self._warnings: list[str] = []  # warnings from reading the next scene
 
     @property
     def _listening(self) -> PageListener:
@@ -233,7 +233,7 @@ class Session:
             return window.run()
 
     def open(self, what: RecentView | Path) -> Mirror:
-        """Returns the mirror of an opened scene or a dropped file, and adapts the options to it.
+        """Returns the mirror of an opened scene or a dropped file, and updates the options.
 
         If the scene has an error, the options do not change.
         """
@@ -310,7 +310,7 @@ class Session:
                 tool.finishes_videos = self.options.finish_films
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
-            # Without the folder, so that the message fits.
+            # The folder is omitted, so that the message fits.
             folder = f"{Path(self.options.scene or '').parent}{os.sep}"
             host.say(self._warnings.pop(0).replace(folder, "") + more, is_bad=True)
             self._warnings.clear()
@@ -491,7 +491,7 @@ def wants_page(options: ViewOptions) -> bool:
 
 
 def command_of(options: ViewOptions) -> list[str]:
-    """Returns the scene and the options that modify the scene, as arguments for a command."""
+    """Returns command-line arguments with the scene and the options that modify the scene."""
     words = [str(options.scene)]
     for setting in options.settings:
         words += ["--set", setting]

@@ -1,7 +1,7 @@
-"""Robots: from files of any format to a compiled world, compiled once.
+"""Reads robots and scenes from files in any supported format, and compiles them into a world.
 
-In: robot and scene files, in our format and others, or declarations in Python. Out: a `World` (or,
-for a model compiled elsewhere, a `ModelWorld`), which all other packages read.
-Open first: `assemble/world.py`; `declared/` checks robots and scenes, `importers/` reads other
-formats, `external/` accepts compiled models.
+In: robot and scene files in any supported format, or declarations in Python. Out: a `World`, or a
+`ModelWorld` for a model that was compiled elsewhere. All other packages read it.
+Open first: `assemble/world.py`. `declared/` validates robots and scenes, `importers/` reads other
+formats, and `external/` accepts compiled models.
 """

@@ -26,14 +26,14 @@ class BatchSetup:
     """Objects that the runs of a batch share.
 
     Attributes:
-        robots: robots as simulated, by name; joints are elastic if the runs request it.
+        robots: simulated robots by name, with elastic joints if the runs request them.
         plant: the simulated robots, one row per run.
         drives: drives between controllers and motors; None if commands act on the motors directly.
-        whole_bodies: the moving bases of mounted robots, one per row; empty without mounted robots.
+        whole_bodies: moving bases of mounted robots in each row; empty if no robot is mounted.
         start: initial joint angles, shape (n,), rad or m.
-        drive: torques, shape (m, 2, n), Nm or N: commanded, and requested before the limits.
-        gains: factors of the commanded torques, shape (m, n), which faulty drives change.
-        plans: cached targets, by robot and everything that they depend on.
+        drive: commanded torques, and torques before the limits, shape (m, 2, n), Nm or N.
+        gains: factors of the commanded torques, shape (m, n), which drive faults change.
+        plans: cache of computed targets.
         has_changed: whether a controller was replaced since the last step.
     """
 
@@ -71,7 +71,7 @@ class BatchSetup:
         self.has_changed = False
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot; a torque loop changes its apparent motor inertias."""
+        """Returns a new model of a robot, with shaped motor inertias if there is a torque loop."""
         if self.drives is not None and robot.name in self.drives.gains:
             robot = self.drives.gains[robot.name].shaped(robot)
         return self.compiler.robot_model(robot, self._run.gravity)

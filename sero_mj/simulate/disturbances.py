@@ -17,7 +17,7 @@ from ..robots.declared.robot import SerialRobot
 from .plant import Plant
 from .sensors import Signal
 
-_SAME_TIME = 1e-9  # s, tolerance of times
+_SAME_TIME = 1e-9  # tolerance of times, s
 Part = Literal["sensors", "drives", "friction"]
 
 
@@ -26,7 +26,7 @@ class Timed(Declaration):
 
     Attributes:
         begin: start time, s.
-        end: end time, s; None for no end.
+        end: end time, s (default: no end).
     """
 
     begin: float = Field(0.0, ge=0)
@@ -36,29 +36,29 @@ class Timed(Declaration):
     def _ends_later(self) -> Self:
         if self.end is not None and self.end <= self.begin:
             raise Problem(
-                "end", found=self.end, expected=f"more than begin, {self.begin:g} s"
+                "end", found=self.end, expected=f"a time after begin ({self.begin:g} s)"
             ).error()
         return self
 
 
 class Disturbance(Timed):
-    """Base of the declarations of disturbances."""
+    """Base class of all disturbance declarations."""
 
 
 class Force(Disturbance):
     """An external force and torque at a frame of a robot, which move with the frame.
 
     Attributes:
-        at: frame at whose origin they act, for example `lwr/flange`.
+        at: frame that force and torque move with, for example `lwr/flange`.
         point: point of application in this frame, shape (3,), m.
-        force: force vector (3,), N.
-        torque: torque vector (3,), Nm.
+        force: force vector, shape (3,), N.
+        torque: torque vector, shape (3,), Nm.
         expressed_in: frame in whose axes force and torque are expressed.
-        profile: `step`; `half_sine`, which rises and falls until `end`; `ramp`, which rises until
-            `end` and then stays constant.
+        profile: time profile: `step`, `half_sine` (rises and falls until `end`) or `ramp` (rises
+            until `end`, and then stays constant).
         samples: piecewise constant force instead of `force`, shape (S, 4): time since `begin` in
-            seconds, and force in N. The last one lasts until `end`. `sero-mj view` saves drags in
-            this form.
+            seconds, and force in N. The last sample lasts until `end`. `sero-mj view` saves drag
+            forces in this form.
         show: whether an arrow shows the force.
     """
 
@@ -78,7 +78,7 @@ class Force(Disturbance):
             self._check_samples(self.samples)
             return self
         if not {"force", "torque"} & self.model_fields_set:  # zeros are valid, e.g. in a sweep
-            raise ValueError("found neither force nor torque; expected three numbers for one")
+            raise ValueError("found neither force nor torque; expected a vector for one of them")
         if self.profile != "step" and self.end is None:
             expected = f"the time in seconds at which the {self.profile} ends"
             raise Problem("end", "is required", expected=expected).error()
@@ -93,18 +93,18 @@ class Force(Disturbance):
             raise Problem("end", "is required", expected=expected).error()
         if not len(samples) or samples[0, 0] != 0.0 or (np.diff(samples[:, 0]) <= 0).any():
             found = samples[:3, 0].tolist()
-            expected = "increasing times from 0 on"
+            expected = "increasing times that start at 0"
             raise Problem("samples", "found times", found=found, expected=expected).error()
 
     @property
     def acts_by(self) -> list[str]:
-        """The keys among `force` and `torque` that are not zero."""
+        """Names of the nonzero vectors: `force`, `torque`, both or none."""
         if self.samples is not None:
             return ["force"]
         return [key for key in ("force", "torque") if getattr(self, key).any()]
 
     def at_times(self, times: Array) -> Array:
-        """Returns force and torque at some times, shape (T, 2, 3), N and Nm."""
+        """Returns force and torque at T times, shape (T, 2, 3), N and Nm."""
         if self.samples is None:
             return self.share(times)[:, None, None] * np.stack([self.force, self.torque])
         since = np.asarray(times, np.float64) - self.begin + _SAME_TIME
@@ -115,7 +115,7 @@ class Force(Disturbance):
         return found
 
     def share(self, times: Array) -> Array:
-        """Returns the factor of the force at some times, shape (T,), 0 to 1, without samples."""
+        """Returns the factor (0 to 1) of the force due to `profile` at T times, shape (T,)."""
         times = np.asarray(times, np.float64)
         inside = times >= self.begin
         if self.end is None:
@@ -137,16 +137,16 @@ def _physical(inertia: Array | None) -> Array | None:
 
 
 class Payload(Disturbance):
-    """A mass that is fixed to a flange, and that the controller does not know.
+    """A mass at a robot's flange that is unknown to the controller.
 
     Attributes:
         robot: robot that picks up the payload.
         mass: mass of the payload, kg.
-        center_of_mass: center of mass (3,) in the flange frame, m.
+        center_of_mass: center of mass in the flange frame, shape (3,), m.
         inertia: entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the inertia tensor about the center of
-            mass, kg m2; None for a steel ball.
+            mass, kg m2 (default: the inertia of a steel ball).
         object: object of the scene that moves with the flange.
-        grasp: T_flange_object; None for the relative pose at `begin`.
+        grasp: pose of the object at the flange, T_flange_object (default: the pose at `begin`).
     """
 
     kind: Literal["payload"] = "payload"
@@ -165,9 +165,9 @@ class Fault(Timed, ABC):
     """A fault during a period of time.
 
     Attributes:
-        robot: robot with the fault; optional if there is only one.
-        joints: names of the joints; empty for all.
-        part: component with the fault. If one fault of it ends, the others continue.
+        robot: robot with the fault; optional if the scene has only one robot.
+        joints: names of the faulty joints (default: all joints).
+        part: component with the fault. When a fault ends, other faults of the component continue.
     """
 
     part: ClassVar[Part] = "sensors"
@@ -194,7 +194,7 @@ class Fault(Timed, ABC):
         return self.robot or (next(iter(robots)) if len(robots) == 1 else None)
 
     def rows(self, robots: Mapping[str, SerialRobot]) -> list[int]:
-        """Returns the indices of its joints among the joints of all robots."""
+        """Returns the indices of the faulty joints among the joints of all robots."""
         chosen = self._owner(robots)
         joints = [(name, joint) for name, robot in robots.items() for joint in robot.names]
         return [
@@ -208,6 +208,7 @@ class Fault(Timed, ABC):
         """Starts the fault.
 
         Args:
+            rows: indices of the faulty joints in the plant.
             gains: factors of the commanded torques, shape (n,), which may be changed.
         """
 
@@ -240,8 +241,8 @@ class SensorFault(Fault):
         return self
 
     def apply(self, plant: Plant, rows: Sequence[int], gains: Array) -> None:
-        given = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
-        changed = {key: value for key, value in given.items() if value is not None}
+        declared = {key: getattr(self, key) for key in ("bias", "gain", "noise", "resolution")}
+        changed = {key: value for key, value in declared.items() if value is not None}
         if changed:
             plant.sensors.change(self.signal, rows, **changed)
         if self.delay_ms is not None:

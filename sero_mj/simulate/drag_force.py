@@ -1,4 +1,4 @@
-"""`DragForce`: pulls a link of a simulated robot toward a moving point by a spring."""
+"""`DragForce`: pulls a link of a simulated robot toward a moving point with a spring."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from .plant import Plant
 from .runs.run_log import event_of
 from .scenario import Scenario
 
-LIMIT = 150.0  # N, as strong as a person pulls with one arm
-STIFFNESS = 500.0  # N/m, initially
-STIFFNESS_RANGE = (20.0, 5000.0)  # N/m
+LIMIT = 150.0  # maximum force, N; a person can pull with about this force with one arm
+STIFFNESS = 500.0  # initial stiffness, N/m
+STIFFNESS_RANGE = (20.0, 5000.0)  # range of the stiffness, N/m
 STRONGER = 1.25  # stiffness factor of one wheel notch
 _DAMPING = 0.7  # damping ratio with the apparent mass of the point
 _MAX_DAMPED = 0.5  # maximum d T / m; a damper above 1 would reverse the motion in a step
 _MAX_SPRING = 0.25  # maximum k T^2 / m
-_MIN_MOBILITY = 1e-6  # 1/kg; below this, the link cannot move
-_DECIMALS = 3  # of forces in N, so that files are short and exact
+_MIN_MOBILITY = 1e-6  # minimum mobility of a link that can move, 1/kg
+_DECIMALS = 3  # decimal places of forces in N, so that files are short and exact
 _NAME = "by_hand"
 
 
@@ -33,10 +33,10 @@ class Pull:
     """A pull at one point, from grab to release.
 
     Attributes:
-        at: name of the frame.
-        point: point in the frame (3,), m.
-        first: first row of the log in which it acts.
-        forces: force in each step, shape (3,), in the world, N.
+        at: name of the frame that is pulled.
+        point: pulled point in the frame, shape (3,), m.
+        first: first log row in which the pull acts.
+        forces: force in each step, in world axes, shape (3,), N.
     """
 
     at: str
@@ -46,7 +46,7 @@ class Pull:
 
 
 class DragForce:
-    """Pulls a link of a simulated robot by a spring and a damper.
+    """Pulls a link of a simulated robot with a spring and a damper.
 
     The force in a step is k (target - point) - d v, limited to `LIMIT`, with the state at the
     beginning of the step. The damping d makes a damped oscillator of the spring and the apparent
@@ -87,11 +87,11 @@ class DragForce:
         self._wanted: _SpringPush | None = None  # requested from the next step on
 
     def grab(self, frame: str, point: Array) -> None:
-        """Grabs a point from the next step on. It pulls nothing until `target` is set.
+        """Grabs a point of a link from the next step on. Set `target` to pull the point.
 
         Args:
             frame: frame of the link, for example `lwr/link3`.
-            point: point in the frame (3,), m.
+            point: grabbed point in the frame, shape (3,), m.
 
         Raises:
             UnknownName: there is no such frame.
@@ -110,7 +110,7 @@ class DragForce:
         self._wanted = push
 
     def make_stronger(self, steps: float) -> None:
-        """Makes the spring stiffer by some notches of a wheel; negative numbers make it softer."""
+        """Makes the spring stiffer by a number of wheel notches, or softer if it is negative."""
         low, high = STIFFNESS_RANGE
         self.stiffness = min(max(self.stiffness * STRONGER**steps, low), high)
 
@@ -126,18 +126,18 @@ class DragForce:
         return stiffness, damping
 
     def log_events(self) -> dict[str, str]:
-        """Returns its log columns: the force, and a frame at the point of application."""
+        """Returns the log columns of the force and of a frame at the point of application."""
         return {event_of(self.name, "force"): "1V", event_of(self.name, "frame"): "1M"}
 
     def begin(self, columns: dict[str, slice], rows: Array) -> None:
-        """Discards all pulls and continues with another log, shape (T, width)."""
+        """Discards all pulls and continues with another log `rows`, shape (T, width)."""
         self._clear()
         force, frame = (columns[event] for event in self.log_events())
         self._columns, self._rows = (force, frame), rows
         rows[:, frame] = np.eye(4).ravel()
 
     def drop_oldest(self, dropped: int, kept: int) -> None:
-        """Discards pulls in dropped rows of the log, of which `kept` rows are left."""
+        """Discards the pulls in the oldest `dropped` log rows, after which `kept` rows remain."""
         for pull in self.pulls:
             pull.first -= dropped
             if pull.first < 0:
@@ -149,7 +149,7 @@ class DragForce:
         self._rows[kept:, force], self._rows[kept:, frame] = 0.0, np.eye(4).ravel()
 
     def before(self, k: int) -> None:
-        """Applies requested grabs and releases before the step after row k."""
+        """Applies requested grabs and releases before the step after log row k."""
         if self._wanted is not self._push:
             if self._push is not None:
                 self._plant.release(self._push)
@@ -163,7 +163,7 @@ class DragForce:
             self._push.is_due = True
 
     def after(self, k: int) -> None:
-        """Logs the force of the step before row k."""
+        """Logs the force of the step that led to log row k."""
         if self._push is None:
             return
         self.force = self._push.force.copy()
@@ -176,14 +176,14 @@ class DragForce:
 
 
 class _SpringPush(Push):
-    """A push by the drag spring, computed while pushes are applied.
+    """A push by the drag spring, whose force is computed while pushes are applied.
 
-    Replaying the recorded forces from a scenario then computes the same values in the same order.
+    Therefore a scenario with the recorded forces computes the same values in the same order.
 
     Attributes:
         mass: apparent mass of the point, kg.
-        place: point in the world at the beginning of the step, shape (3,), m.
-        is_due: whether a step of the controllers begins.
+        place: position of the point at the beginning of the step, in the world, shape (3,), m.
+        is_due: whether a step of the controllers begins, so that the force must be computed.
     """
 
     def __init__(self, drag: DragForce, plant: Plant, frame: str, point: Array) -> None:
@@ -208,7 +208,7 @@ class _SpringPush(Push):
         super().apply(model, data, torques)
 
     def mobility(self, model: mujoco.MjModel, data: mujoco.MjData) -> float:
-        """Returns the largest acceleration of the point by a unit force, 1/kg: of J M^-1 J^T."""
+        """Returns the point's largest acceleration per force, 1/kg (eigenvalue of J M^-1 J^T)."""
         mujoco.mj_jac(model, data, self._jacobian, None, self.point(data), self.body)
         accelerations = np.zeros_like(self._jacobian)
         mujoco.mj_solveM(model, data, accelerations, self._jacobian)

@@ -1,8 +1,7 @@
 """`Drives`: joint torque control, delay and saturation between controllers and motors.
 
-Gains of faulty drives, joint torque control at the rate of the physics, delay and torque limits act
-in this order. One step of the drives is one step of the controllers and `substeps` steps of the
-plant.
+Joint torque control at the rate of the physics, torque limits and delay act in this order. One step
+of the drives is one step of the controllers and `substeps` steps of the plant.
 """
 
 from __future__ import annotations
@@ -20,19 +19,19 @@ from .scenario import Run
 
 
 class Drives:
-    """Steps a plant with the commands of its controllers.
+    """The drives of all robots, which step a plant with the commands of its controllers.
 
     Args:
         plant: plant whose time step divides the time step of the controllers.
         robots: robots in the order of the plant.
 
     Attributes:
-        loop: joint torque control; None if the run has none.
-        gains: gains of the loop, by robot.
+        loop: joint torque control, or None if the run does not use it.
+        gains: gains of the torque loop by robot name.
         substeps: number of plant steps in one step of the controllers.
 
     Raises:
-        DeclarationError: a loop is unstable at this timestep, or does not fit its robot.
+        DeclarationError: the gains of a torque loop do not fit its robot.
     """
 
     def __init__(self, plant: PlantRows, robots: dict[str, SerialRobot], run: Run) -> None:
@@ -48,7 +47,7 @@ class Drives:
         # Elastic joints have ideal motor encoders; other joints use the links' sensors.
         self._velocities = plant.motor_velocities if plant.joints.elastic else None
         self._measured: Array = plant.measured[:, 1:]
-        # Ring buffer of delayed torques, and the place of the next ones.
+        # Ring buffer of delayed torques, and the index of its next entry.
         delay = round(run.drive_delay / plant.timestep)
         self._pending: Array = np.zeros((delay + 1, plant.physics.m, plant.n))
         self._place = 0
@@ -77,8 +76,8 @@ class Drives:
             has_springs: whether the damping is designed for a stiffness.
 
         Raises:
-            DeclarationError: names the joint with the fastest growing vibration, and a stable
-                value.
+            DeclarationError: the loop or the controller is unstable. The error names the joint with
+                the fastest growing vibration, and a stable value.
         """
         gains, timestep = self.gains[name], self.plant.timestep
         joints = self.plant.world.robots[name].robot.names
@@ -87,9 +86,9 @@ class Drives:
             share = largest_share(
                 lambda each: unstable_loop(gains.lighter(each), mass, timestep) is None
             )
-            least = 1.01 * gains.lighter(share).shaped_inertias[joint]
+            minimum = 1.01 * gains.lighter(share).shaped_inertias[joint]
             better = (
-                f"at least {least:.3g}, or a shorter run.physics_timestep"
+                f"at least {minimum:.3g}, or a shorter run.physics_timestep"
                 if share > 0
                 else "a lower torque_control.bandwidth, or a shorter run.physics_timestep"
             )
@@ -120,7 +119,7 @@ class Drives:
             ).error()
 
     def reset(self, which: Bools | slice = slice(None)) -> None:
-        """Resets some rows to a plant at rest, held by its motors."""
+        """Resets some rows to the motor torques that hold the plant at rest."""
         plant = self.plant
         self._pending[:, which] = plant.actual[which, 2]
         if self.loop is not None:
@@ -129,7 +128,7 @@ class Drives:
             self.loop.reset(measured[:, 2], velocities, which)
 
     def step(self, commanded: Array) -> None:
-        """Simulates one step of the controllers; see `PlantRows.step`.
+        """Simulates one time step of the controllers, which is `substeps` steps of the plant.
 
         Args:
             commanded: torques after the controllers' limits and drive faults, shape (m, n), Nm or

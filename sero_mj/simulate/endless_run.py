@@ -1,4 +1,4 @@
-"""`endless_scene`: simulates robots without end, which can be dragged, moved and tuned."""
+"""`endless_scene`: simulations without an end time, for dragging, moving and tuning robots."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .scenario import Scenario
 from .simulated_scene import simulated_scene
 from .simulation import Simulation
 
-KEPT = 60.0  # s, minimum length of the past that can be replayed
-_LOG_DURATION = 90.0  # s, before the oldest rows are discarded
+KEPT = 60.0  # minimum duration of the past that can be replayed, s
+_LOG_DURATION = 90.0  # duration of a full log, whose oldest rows are discarded, s
 # Number of random poses, and their range about zero in rad or m.
 _POSES, _RANGE = 1000, 1.6
-_SINGULAR = 0.03  # a pose with a smaller inverse condition number is singular
-# Score of a pose relative to the inverse condition number: cost per mean rad or m from zero, and
-# gain per reach of the flange in front of the base.
+_SINGULAR = 0.03  # a pose with a smaller inverse condition number counts as singular
+# The score of a pose is its inverse condition number, minus a cost per mean rad or m from the home
+# pose, plus a gain per distance between base and flange along x, relative to the reach.
 _PER_MOTION, _PER_REACH = 0.06, 0.3
 _HEIGHTS = (0.2, 0.6)  # range of the flange's height above the base, relative to the reach
 
 
 class EndlessRun(RunSource):
-    """A simulation without end. When its log of 90 s is full, the oldest third is discarded."""
+    """A simulation without an end time. A full log of 90 s drops its oldest third."""
 
     @property
     def end(self) -> float | None:
@@ -47,7 +47,7 @@ class EndlessRun(RunSource):
         return str(self.run.about)
 
     def start_again(self) -> None:
-        """Restarts in the declared pose with the current controllers; clears errors."""
+        """Restarts the simulation in its initial pose with the current controllers."""
         simulation = self.run
         simulation.restart(simulation._start, simulation.plant.sensors.seed)
         self._error = None
@@ -69,19 +69,18 @@ class EndlessRun(RunSource):
 def endless_scene(
     scene: Scene, control: str = "joint", angles: Mapping[str, Array] | None = None
 ) -> Scene:
-    """Returns a scene whose robots are simulated without end while it is shown.
+    """Returns a scene whose robots are simulated for as long as it is shown.
 
-    Physics and controllers run at 1 kHz. If all robots declare torque control, it runs at 3 kHz.
-    Sources and routes of the scene are removed; of a scenario, only the scene and gravity are used.
-    Arrows are shown unless a robot disables them.
+    Controllers and physics run at 1 kHz. If all robots declare torque control, physics and torque
+    control run at 3 kHz. Sources and routes of the scene are removed. If the scene shows a
+    scenario, only its scene and gravity are used. Arrows are shown unless a robot disables them.
 
     Args:
         control: kind or short name of the initial controllers, for example `joint`.
-        angles: initial joint angles by robot, shape (n,), rad or m; the default is `bent_pose`.
+        angles: initial joint angles by robot, shape (n,), rad or m (default: `bent_pose`).
 
     Raises:
-        DeclarationError: errors that are only detected in simulation: an initial pose beyond
-            limits, or missing masses.
+        DeclarationError: an initial pose is beyond its limits, or masses are missing.
     """
     runs = [each.run for each in scene.sources.values() if isinstance(each, RunSource)]
     declared = [run.scenario for run in runs if isinstance(run, Simulation)]
@@ -111,12 +110,12 @@ def endless_scene(
 
 
 def bent_pose(robot: SerialRobot) -> Array:
-    """Returns the declared pose, shape (n,), rad or m; if there is none, one that is easy to move.
+    """Returns the home pose, or a bent pose if the home pose is singular; shape (n,), rad or m.
 
-    Many arms are stretched at zeros: the flange is singular and the joints carry no load. The
-    result is one of a fixed set of random poses within the limits: the flange is above and in front
-    of the base, far from singularities (by the inverse condition number of the Jacobian, with
-    lengths divided by the reach), and the angles are close to zero.
+    A declared home pose, and that of a robot with a free base, is always returned. The bent pose is
+    one of a fixed set of random poses within the limits. Its flange is above and in front of the
+    base, its angles are close to home, and it is far from singularities (by the inverse condition
+    number of the Jacobian, with lengths divided by the reach).
     """
     if robot.joint_angles is not None or robot.free_base:
         return robot.home

@@ -18,7 +18,7 @@ from .scenario import Scenario
 
 
 class TimedActions:
-    """Actions in the order of their steps, and of addition within a step."""
+    """Scheduled actions. Actions of the same step run in the order in which they were added."""
 
     def __init__(self, timestep: float) -> None:
         self._timestep = timestep
@@ -36,7 +36,7 @@ class TimedActions:
         return self._due[self._next][0] if self._next < len(self._due) else math.inf
 
     def act(self, k: int) -> None:
-        """Runs the actions that are due at row k, before the next step."""
+        """Runs the actions that are due at log row k, before the next step."""
         while self._next < len(self._due) and self._due[self._next][0] <= k:
             self._due[self._next][1]()
             self._next += 1
@@ -46,7 +46,7 @@ class FaultSchedule:
     """Starts and ends the faults of a scenario.
 
     Args:
-        gains: factors of the commanded torques, shape (n,), to be written: those of faulty drives.
+        gains: factors of the commanded torques, shape (n,), which drive faults change.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, due: TimedActions, gains: Array) -> None:
@@ -89,11 +89,11 @@ class FaultSchedule:
 
 
 class CarriedObjects:
-    """Carried objects of all rows, whose poses are computed and logged together."""
+    """The objects that robots carry in all runs of a batch. Their poses are logged together."""
 
     def __init__(self, plant: PlantRows) -> None:
         self._plant = plant
-        # By row and name: the flange's body, T_flange_object, and the poses to be written.
+        # Flange body, T_flange_object and output poses of each object, by row and name.
         self._carried: dict[tuple[int, str], tuple[int, Array, Array]] = {}
 
     def __bool__(self) -> bool:
@@ -103,8 +103,8 @@ class CarriedObjects:
         """Adds a carried object.
 
         Args:
-            grasp: T_flange_object.
-            poses: output array (T, 16) for the poses of the object in each step.
+            grasp: pose of the object at the flange, T_flange_object.
+            poses: output array for the poses of the object in each step, shape (T, 16).
         """
         self._carried[plant.row, name] = plant.flange_body(robot), grasp, poses
         self._sort()
@@ -125,7 +125,7 @@ class CarriedObjects:
         self._written = [poses for _, _, poses in carried]
 
     def write(self, k: int) -> None:
-        """Writes the current poses into row k of the arrays."""
+        """Writes the current poses of all objects to row k of their output arrays."""
         poses = self._plant.physics.poses_of(self._rows, self._bodies) @ self._grasps
         for written, pose in zip(self._written, poses.reshape(-1, 16), strict=True):
             written[k] = pose
@@ -136,7 +136,7 @@ class EventSchedule:
     """The disturbances and faults of a scenario, ordered by step.
 
     Args:
-        gains: factors of the commanded torques, shape (n,), to be written: those of faulty drives.
+        gains: factors of the commanded torques, shape (n,), which drive faults change.
         carried: carried objects of all runs of the batch.
     """
 
@@ -170,11 +170,11 @@ class EventSchedule:
 
     @property
     def next(self) -> float:
-        """Next row at which `before` changes anything; infinite for none."""
+        """Next row at which `before` changes anything, or infinity if there is none."""
         return 0 if self._varying else self._due.next
 
     def log_events(self) -> dict[str, str]:
-        """Returns additional log columns: applied forces, and poses of carried objects."""
+        """Returns the log columns for applied forces and for poses of carried objects."""
         events: dict[str, str] = {}
         for name, disturbance in self.scenario.disturbances.items():
             if isinstance(disturbance, Force):
@@ -183,7 +183,7 @@ class EventSchedule:
         return events
 
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes known events into the log, shape (T, width), which is stored for later poses."""
+        """Writes the known forces and poses to the log `rows`, which later poses are written to."""
         times = rows[:, 0]
         self._columns, self._log = columns, rows
         for name, disturbance in self.scenario.disturbances.items():

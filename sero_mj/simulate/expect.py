@@ -45,8 +45,8 @@ class Outcome:
     Attributes:
         name: name of the expectation.
         holds: whether the expectation passed.
-        text: found and expected values.
-        value: found value; NaN for none.
+        text: message with the found and expected values.
+        value: found value, or NaN if there is none.
     """
 
     name: str
@@ -58,28 +58,29 @@ class Outcome:
 class Expect(Declaration):
     """A value that must stay within bounds, or a fault that must (or must not) be detected.
 
-    A measure has a value for every joint, or for every robot, at every time. `of` reduces the times
-    to one value, and `holds_at` sets at which joints and robots the value must be within the
-    bounds.
+    A measure has a value for every joint, or for every robot, at every time. `of` reduces the
+    values over time to one value, and `holds_at` selects the joints and robots at which this value
+    must be within the bounds.
 
     Attributes:
-        measure: one of `MEASURES`: `position_error`, `flange_error`, `torque_share`,
-            `real_time_factor`, ...
-        robot: robot name; None for all robots.
-        object: a free object, for `height`, `displacement` or `tilt`.
-        joints: joint names; empty for all.
-        signed: whether the sign counts; by default, the absolute value counts.
-        of: `max`, `rms`, `mean`, `min` or `final` value over time (default: `max`; `final` for
+        measure: name of a measure: `position_error`, `flange_error`, `torque_share`,
+            `real_time_factor` or another one of `MEASURES`.
+        robot: robot name (default: all robots).
+        object: name of a free object, for `height`, `displacement` or `tilt`.
+        joints: joint names (default: all joints).
+        signed: whether the bounds apply to signed values instead of absolute values.
+        of: reduction over time: `max`, `rms`, `mean`, `min` or `final` (default: `max`; `final` for
             `real_time_factor`, which is simulated time divided by elapsed time).
         below: upper bound.
         above: lower bound.
-        holds_at: where the bounds must hold: at `all` joints of all robots (default for `below`
-            alone), at `any` joint, or at one joint of `each_robot`. Required for `above` if there
-            are several joints.
+        holds_at: places where the bounds must hold: at `all` joints of all robots (default for
+            `below` alone), at `any` joint, or at one joint of `each_robot`. It is required for
+            `above` if there are several joints.
         after: beginning of the evaluated time, s.
         before: end of the evaluated time, s.
         finds: kind of fault that the monitor must detect in one of the joints.
-        within: maximum delay in seconds after the disturbance or fault `cause` (or after `after`).
+        within: maximum delay of the detection in seconds, measured from the disturbance or fault
+            `cause`, or from `after`.
         cause: name of the disturbance or fault.
         finds_nothing: kinds of faults that the monitor must not detect between `after` and
             `before`; `any` for all.
@@ -125,7 +126,7 @@ class Expect(Declaration):
         if self.below is not None and self.above is not None and self.above >= self.below:
             raise Problem("above", found=self.above, expected=f"less than {self.below:g}").error()
         if self.measure is not None and self.below is None and self.above is None:
-            raise Problem("below", "is required", expected="below or above").error()
+            raise Problem("below", "is required", expected="a bound below or above").error()
         for key, known in (("measure", list(MEASURES)), ("finds", [*KINDS, "any"])):
             value = getattr(self, key)
             if value is not None and value not in known:
@@ -171,7 +172,7 @@ class Expect(Declaration):
             raise ValueError(f"object: requires one of {', '.join(OF_FREE)}; found {self.measure}")
 
     def check(self, scenario: RunContext) -> None:
-        """Raises DeclarationError if names are unknown, or the measure is not available."""
+        """Raises DeclarationError if a name is unknown or the measure is not available."""
         robots = scenario.scene.robots
         problems = []
         if self.robot is not None and self.robot not in robots:
@@ -283,7 +284,7 @@ class Expect(Declaration):
 
     @property
     def unit(self) -> str:
-        """Unit of the found value: that of its measure, s until a finding, or none."""
+        """Unit of the found value, `s` for delays of a detection; empty if there is no value."""
         if self.measure is not None:
             return MEASURES[self.measure][0]
         return "" if self.finds_nothing is not None else "s"
@@ -309,7 +310,7 @@ class Expect(Declaration):
         if not rows.any():
             text = f"{what}: the run ended at {log.times[-1]:g} s, before the evaluated time"
             return Outcome(name, False, f"{text}; expected {bounds}", np.nan)
-        # The deciding joint of every robot, and then the deciding robot.
+        # First find the deciding joint of every robot, and then the deciding robot.
         deciding = []
         for whose, names, values in self._values(log, rows):
             reduced = _REDUCE[self.of](values)
@@ -325,7 +326,7 @@ class Expect(Declaration):
         return Outcome(name, holds, f"{text}{self._where}{ended}", value)
 
     def _values(self, log: RunLog, rows: Bools | slice) -> Iterator[tuple[str, list[str], Array]]:
-        """Yields name, joint names and values (T, joints) of each robot, or of the object."""
+        """Yields the name, joint names and values (T, joints) of each robot, or of the object."""
         assert self.measure is not None
         whose = self._robots(list(log.robots)) if self.object is None else [self.object]
         for each in whose:
@@ -341,7 +342,7 @@ class Expect(Declaration):
                 yield each, names, values
 
     def _margins(self, values: Array) -> Array:
-        """Returns distances to the bounds; negative if out of bounds, NaN if unknown."""
+        """Returns distances to the bounds, which are negative out of bounds, or NaN if unknown."""
         high = np.inf if self.below is None else self.below - values
         low = np.inf if self.above is None else values - self.above
         return np.minimum(high, low)
@@ -359,15 +360,16 @@ class Expect(Declaration):
         }.get(self.holds_at or "", "")  # fmt: skip
 
     def share(self, log: RunLog) -> float:
-        """Returns how close the last row of a log is to the bounds; 1 if it is within them.
+        """Returns a score between 0 and 1 of how close the last row of a log is to the bounds.
 
-        Only bounds that hold at every time count: not `above` for a `max`, nor `below` for a `min`.
+        Only bounds that must hold at every time count: `above` is ignored for `max`, and `below`
+        for `min`.
 
         Args:
-            log: drift is measured from its first row.
+            log: log whose first row is the reference for drift.
 
         Returns:
-            1 within the bounds; outside, `below / value` or `value / above`, at least 0.
+            1 within the bounds; otherwise `below / value` or `value / above`, at least 0.
         """
         robots = []
         for _, _, values in self._values(log, slice(-1, None)):

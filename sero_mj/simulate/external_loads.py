@@ -19,7 +19,7 @@ from .physics import Physics
 
 
 class Push:
-    """A force and a torque that move with a frame. Both can be changed at any time.
+    """A force and a torque at a point that moves with a frame. Both can be changed at any time.
 
     See `Plant.push` for arguments and errors.
 
@@ -27,8 +27,8 @@ class Push:
         at: point of application in the frame, shape (3,), m.
         body: index of the frame's body.
         site: index of the frame's site.
-        axes: site in whose axes force and torque are expressed; None for the world.
-        wrench: force and torque, shape (2, 3), N and Nm, in place.
+        axes: index of the site in whose axes force and torque are expressed; None for the world.
+        wrench: force and torque, shape (2, 3), N and Nm; may be changed in place.
     """
 
     def __init__(
@@ -56,7 +56,7 @@ class Push:
         return np.asarray(self.wrench[1])
 
     def write_into(self, wrench: Array) -> None:
-        """Moves `wrench` into another array, shape (2, 3)."""
+        """Copies the force and torque into an array, shape (2, 3), which becomes `wrench`."""
         wrench[...] = self.wrench
         self.wrench = wrench
 
@@ -69,7 +69,7 @@ class Push:
         mujoco.mj_applyFT(model, data, force, torque, self.point(data), self.body, torques)
 
     def point(self, data: mujoco.MjData) -> Array:
-        """Returns the point of application in the world, shape (3,), m."""
+        """Returns the point of application in world coordinates, shape (3,), m."""
         point: Array = data.site_xpos[self.site]
         if self.at.any():
             point = point + data.site_xmat[self.site].reshape(3, 3) @ self.at
@@ -77,10 +77,10 @@ class Push:
 
 
 class PushRows:
-    """The pushes of many rows, which are computed together.
+    """The pushes in all worlds (rows) of a batch, whose torques are computed together.
 
-    Copying the `MjData` of a row would take twice as long as its step. The sums and products are
-    those of `mj_applyFT` in the same order, so the torques are equal.
+    Copying the `MjData` of a row would take twice as long as its step. The operations of
+    `mj_applyFT` are computed in the same order, so the torques are equal.
     """
 
     def __init__(self, physics: Physics, pushes: Sequence[tuple[int, Push]]) -> None:
@@ -90,7 +90,7 @@ class PushRows:
         for push, wrench in zip(acting, self._wrenches, strict=True):
             push.write_into(wrench)
         self._of: Ints = np.array([row for row, _ in pushes], np.intp)
-        # Without a second push in the same row, no sum is needed.
+        # If no row has two pushes, their torques need not be summed.
         self._is_single = len(np.unique(self._of)) == len(pushes)
         bodies = [push.body for push in acting]
         self._sites: Ints = np.array([push.site for push in acting], np.intp)
@@ -104,11 +104,11 @@ class PushRows:
         turned = [k for k, push in enumerate(acting) if push.axes is not None]
         self._turned: Ints = np.array(turned, np.intp)
         self._axes: Ints = np.array([acting[k].axes for k in turned], np.intp)
-        # Bound only if needed: bound arrays are copied in every step.
+        # The array is bound only if needed, because bound arrays are copied in every step.
         self._turns = physics.bind("site_xmat") if is_off or turned else None
 
     def write(self, torques: Array) -> None:
-        """Writes the generalized forces of the pushes into zeros, shape (m, nv), Nm or N."""
+        """Writes the generalized forces to `torques`, which must be zeros, (m, nv), Nm or N."""
         of, sites = self._of, self._sites
         self._physics.forward()
         wrenches = self._wrenches
@@ -122,13 +122,13 @@ class PushRows:
                 for k in range(2):  # force and torque separately, as in `Push.apply`
                     wrenches[self._turned, k] = (axes @ wrenches[self._turned, k, :, None])[..., 0]
         arms = points - self._centers[of, self._roots]
-        # By component, (k, nv) each: numpy is slow with a short last axis.
+        # Each component has its own array (k, nv), because NumPy is slow with a short last axis.
         motions = self._motions[of].transpose(2, 0, 1).copy()
         x, y, z, *lines = motions
         (rx, ry, rz), (fx, fy, fz), (tx, ty, tz) = (
             each.T[..., None] for each in (arms, wrenches[:, 0], wrenches[:, 1])
         )
-        # Columns of the point's Jacobian: v + w x r. `np.cross` takes twice as long.
+        # The columns of the point's Jacobian are v + w x r. `np.cross` takes twice as long.
         lines[0] += y * rz - z * ry
         lines[1] += z * rx - x * rz
         lines[2] += x * ry - y * rx
@@ -142,7 +142,7 @@ class PushRows:
 
 
 def _moving(model: mujoco.MjModel, body: int) -> Bools:
-    """Returns which degrees of freedom move a body, shape (nv,)."""
+    """Returns a mask of the degrees of freedom that move a body, shape (nv,)."""
     found: Bools = np.zeros(model.nv, bool)
     while body:
         first = model.body_dofadr[body]
@@ -165,7 +165,7 @@ def _site(world: World, frame: str) -> int:
         raise UnknownName("frame", frame, [*world.frames.names, "world"]) from None
 
 
-_STEEL = 7800.0  # kg/m3
+_STEEL = 7800.0  # density of steel, kg/m3
 
 
 def attach_payload(
@@ -175,13 +175,13 @@ def attach_payload(
     center_of_mass: ArrayLike,
     inertia: ArrayLike | None,
 ) -> None:
-    """Gives the payload body of a robot a mass; see `Plant.attach_payload`."""
+    """Sets the mass and inertia of a robot's payload body; see `Plant.attach_payload`."""
     key = f"payload of {robot}"
     if not 0 < mass < np.inf:
         raise Problem(key, found=mass, of="kg", expected="a positive mass").error()
     center = numbers(center_of_mass)
     if center.shape != (3,):
-        raise Problem(key, found=center, expected="3 numbers in m").error()
+        raise Problem(key, found=center, expected="a center of mass of 3 numbers, m").error()
     if inertia is None:
         radius = (3 * mass / (4 * np.pi * _STEEL)) ** (1 / 3)
         tensor = 0.4 * mass * radius**2 * np.eye(3)
@@ -197,7 +197,7 @@ def attach_payload(
 
 
 def detach_payload(model: mujoco.MjModel, robot: str) -> None:
-    """Removes the mass of a robot's payload body."""
+    """Sets the mass and inertia of a robot's payload body to zero."""
     _set(model, robot, 0.0, np.zeros(3), np.zeros(3), np.array([1.0, 0, 0, 0]))
 
 
@@ -211,27 +211,28 @@ def _set(
     model.body_sameframe[body] = 0  # the center of mass is no longer at the body's origin
     kept = model.stat.center.copy(), model.stat.extent, model.stat.meansize
     mujoco.mj_setConst(model, mujoco.MjData(model))
-    model.stat.center, model.stat.extent, model.stat.meansize = kept  # keeps the camera still
+    # The camera must not move.
+    model.stat.center, model.stat.extent, model.stat.meansize = kept
 
 
 class Contacts:
-    """Sums the external contact forces on each robot, without contacts among its own links.
+    """Sums the contact forces on each robot, except those among its own links.
 
     Args:
-        world: compiled with `dynamic=True`.
+        world: world that was compiled with `dynamic=True`.
 
     Attributes:
-        forces: force on each robot at the last `update`, shape (robots, 3), in the world's axes, N.
+        forces: force on each robot at the last `update`, in world axes, shape (robots, 3), N.
     """
 
     def __init__(self, world: World, model: mujoco.MjModel) -> None:
         self.forces: Array = np.zeros((len(world.robots), 3))
-        # Robot index of every geom, or -1.
+        # Index of the robot that each geom belongs to, or -1.
         self._owner = robots_of_bodies(model, world.robots)[model.geom_bodyid]
         self._force: Array = np.zeros(6)
 
     def update(self, model: mujoco.MjModel, data: mujoco.MjData) -> Array:
-        """Returns `forces` of the last step."""
+        """Updates and returns `forces` for the last step."""
         forces = self.forces
         forces[:] = 0.0
         contact = data.contact
@@ -239,7 +240,7 @@ class Contacts:
             if first == second or contact.exclude[index]:
                 continue
             mujoco.mj_contactForce(model, data, index, self._force)
-            # Rows of the contact frame: normal from the first to the second geom, two tangents.
+            # The rows of the contact frame are the normal (first to second geom) and two tangents.
             force = self._force[:3] @ contact.frame[index].reshape(3, 3)
             if second >= 0:
                 forces[second] += force

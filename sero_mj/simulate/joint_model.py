@@ -1,22 +1,22 @@
 """`JointModel`: motors, links and torque sensors of rigid and elastic joints in MuJoCo.
 
-Rigid joint: motor and link share one degree of freedom. The sensor measures the motor torque minus
-the torques of motor inertia and friction:
+In a rigid joint, motor and link share one degree of freedom. The sensor measures the motor torque
+minus the torques of motor inertia and friction:
 
     torque = motor_torque - motor_inertia * acceleration - friction
 
-Elastic joint: motor and link have one angle each. The sensor measures the spring and damper between
-them:
+In an elastic joint, motor and link have one angle each. The sensor measures the spring and damper
+between them:
 
     torque = stiffness * (motor_angle - link_angle) + damping * (motor_velocity - link_velocity)
 
-Both are the torques of the last step, exact to rounding: accelerations are velocity differences;
-viscous friction and spring are evaluated as in MuJoCo's integrator (velocities at the end of the
-step, angles at its start); Coulomb friction is the result of MuJoCo's solver, also during sticking.
+These are the torques of the last step, exact to rounding. Accelerations are velocity differences.
+Viscous friction and springs are evaluated as in MuJoCo's integrator (velocities at the end of the
+step, angles at its start). Coulomb friction is the result of MuJoCo's solver, also during sticking.
 Couplings between joints act on the motor side, so the sensors measure their forces.
 
-With the assumed springs of the LWR, an excitation of 8 Nm and a timestep of 1 ms, angles are within
-2e-5 rad and torques within 0.1 Nm of a simulation with 10 us.
+With the assumed springs of the LWR, an excitation of 8 Nm and a time step of 1 ms, angles are
+within 2e-5 rad and torques within 0.1 Nm of a simulation with a time step of 10 us.
 
 Source: Albu-Schaeffer, Ott, Hirzinger, A Unified Passivity-based Control Framework for Position,
 Torque and Impedance Control of Flexible Joint Robots, IJRR 26(1), 2007, eq. 1-3.
@@ -62,15 +62,15 @@ class JointModel:
         elastic: whether any joint is elastic.
         forwards: whether a step ends with the kinematics and bias torques of the new state. If not,
             the next step computes them, which is faster.
-        reads_torques: whether torques are read after steps; reading the friction takes the most
-            time.
+        reads_torques: whether torques are read after each step. Reading the friction takes most of
+            the time.
         motor_dofs: indices of the motors in `qvel`, shape (n,).
         motor_positions: indices of the motors in `qpos`, shape (n,).
         motor_angles: motor angles after the last step, shape (m, n), rad.
         motor_velocities: motor velocities after the last step, shape (m, n), rad/s.
-        sensor_dofs: index in `qvel` that each torque sensor acts on, shape (n,): link and motor, or
-            the deflection.
-        motor_torques: motor torques of the next step, shape (m, n), Nm; written before `advance`.
+        sensor_dofs: indices in `qvel` of the rigid joints, or of the deflections of elastic joints,
+            shape (n,).
+        motor_torques: motor torques of the next step, shape (m, n), Nm; set before `advance`.
     """
 
     def __init__(self, world: World, physics: Physics) -> None:
@@ -102,7 +102,7 @@ class JointModel:
         self._motor_q, self._spring_q = np.array(motor_q, np.intp), np.array(spring_q, np.intp)
         self._spring_dofs = self.sensor_dofs[self._elastic_rows]
         self._qpos, self._qvel, self._applied = physics.qpos, physics.qvel, physics.applied
-        # Views, which are always up to date, if the indices are evenly spaced.
+        # If the indices are evenly spaced, these are views, which are always up to date.
         self._copies: list[tuple[Array, Ints, Array]] = []
         self.motor_angles = self._watch(self._qpos, self.motor_positions)
         self.motor_velocities = self._watch(self._qvel, self.motor_dofs)
@@ -138,7 +138,7 @@ class JointModel:
         return watched
 
     def refresh(self) -> None:
-        """Reads inertia, friction and stiffness from the models again after a change."""
+        """Reads inertia, friction and stiffness again after a change of the models."""
         model, physics = self._model, self._physics
         models = [physics.model_of(row) for row in range(physics.m)]
         for name, part in self._world.robots.items():
@@ -158,7 +158,7 @@ class JointModel:
         self._friction[:] = friction[:, self._dofs_with_friction]
 
     def _arrange(self, models: Sequence[mujoco.MjModel]) -> None:
-        """Lays out the sensor terms: [q, dq; torques; q, dq after; couplings; friction]."""
+        """Allocates the sensor terms: [q, dq; torques; q, dq after; couplings; friction]."""
         model, n = self._model, self.n
         kinds = [model.nq, model.nv, n, model.nq, model.nv, len(self._coupled_dofs)]
         sizes = np.array([*kinds, len(self._dofs_with_friction)])
@@ -184,7 +184,7 @@ class JointModel:
         self._states = q_before, dq_before, q_after, dq_after
 
     def _fill(self, model: mujoco.MjModel, readings: Array, first: Sequence[int]) -> None:
-        """Fills a model's matrix, (3, n, terms); `first` has the first column of each kind."""
+        """Fills a model's sensor matrix, (3, n, terms), from the first column of each kind."""
         q_before, dq_before, motor_torques, q_after, dq_after, coupling, friction = first
         dofs, springs = self.sensor_dofs, self._elastic_rows
         angles, velocities, torques = readings
@@ -207,7 +207,7 @@ class JointModel:
         torques[:, friction:] = self._friction_at = dofs[:, None] == self._dofs_with_friction
 
     def load_springs(self, data: mujoco.MjData) -> None:
-        """Deflects the springs so that they hold the links at rest; `data` has its bias torques."""
+        """Deflects the springs so that they hold the links at rest against the bias torques."""
         deflection = -data.qfrc_bias[self._spring_dofs] / self._spring_stiffness
         motors = self._motor_q[self._elastic_rows]
         angles = data.qpos[motors] + data.qpos[self._spring_q]
@@ -215,7 +215,7 @@ class JointModel:
         data.qpos[motors] = angles - deflection
 
     def advance(self, pushes: Array | None) -> bool:
-        """Simulates one step; returns whether the motion is stable.
+        """Simulates one step, and returns whether the motion is stable.
 
         Args:
             pushes: external generalized forces, shape (m, nv), Nm.
@@ -237,17 +237,17 @@ class JointModel:
         return is_stable
 
     def external(self, row: int, pushes: Array) -> Array:
-        """Returns the external torques on the links of a row in the last step, (n,), Nm.
+        """Returns the external torques on a row's links in the last step, shape (n,), Nm.
 
         Args:
-            pushes: generalized forces of pushes, shape (nv,).
+            pushes: generalized forces of pushes, shape (nv,), Nm or N.
         """
         outer = pushes + self._physics.data_of(row).qfrc_constraint
         inner = self._friction_at @ self._friction[row] + self._couples_at @ self._coupling[row]
         return np.asarray(outer[self.sensor_dofs] - inner)
 
     def read(self, readings: Array) -> None:
-        """Writes the true angles, velocities and torques of the links, shape (m, 3n, 1)."""
+        """Writes true angles, velocities and torques of the links to `readings`, (m, 3n, 1)."""
         self.update_motors()
         # One product per row: a single product for all rows would round differently.
         np.matmul(self._readings_of, self._column, readings)

@@ -17,16 +17,16 @@ from .control.joint_control import largest_share
 from .control.make_controller import controller_kinds
 from .control.robot_model import RobotModel
 
-_HALVINGS = 8  # maximum number of reductions of an initial stiffness that is unstable
-# The target moves to its goal like a critically damped mass of this frequency (1/s), at most at
-# this share of the joints' velocity limits.
+_HALVINGS = 8  # maximum number of times that an unstable initial stiffness is reduced
+# The target moves to its goal like a critically damped mass with this natural frequency (1/s), and
+# not faster than this fraction of the joints' velocity limits.
 _FREQUENCY = 20.0
 _SHARE = 0.7
-_AT_REST = 1e-9  # rad and rad/s (m, m/s)
+_AT_REST = 1e-9  # maximum distance and speed of a target at its goal, rad and rad/s (m and m/s)
 
 
 def kind_of_control(name: str) -> str:
-    """Returns the kind of a controller from its kind or short name. Raises UnknownName."""
+    """Returns the controller kind for a kind or a short name. Raises UnknownName."""
     kinds = controller_kinds()
     by_name = {kind.short: key for key, kind in kinds.items() if kind.short}
     if name not in kinds and name not in by_name:
@@ -36,16 +36,16 @@ def kind_of_control(name: str) -> str:
 
 @dataclass(eq=False)
 class LiveRobot:
-    """The controller and target of one robot.
+    """A robot whose controller and target can be changed during the simulation.
 
     Attributes:
-        robot: the robot in its initial pose in the world.
-        model: model of the robot, which the controller does not share.
+        robot: robot with its initial base frame in the world.
+        model: robot model that is not shared with the controller.
         timestep: time step of the controllers, s.
-        target: target of its controller.
-        measured: joint angles, shape (n,), rad or m; a view.
-        speeds: joint velocities, shape (n,); a view.
-        written: log columns of target angles, velocities and pose, shape (T, ...); views.
+        target: target that the controller follows.
+        measured: view of the measured joint angles, shape (n,), rad or m.
+        speeds: view of the measured joint velocities, shape (n,), rad/s or m/s.
+        written: views of the log columns of target angles, velocities and pose, shape (T, ...).
         use: function that replaces the controller. It raises DeclarationError for unstable gains.
         controllers: all available controllers by kind, with the current gains.
         control: kind of the current controller.
@@ -84,7 +84,7 @@ class LiveRobot:
         """Changes the controller, and sets the target to the current pose.
 
         Returns:
-            the reason if it is refused, or an empty text.
+            reason why the controller is rejected, or an empty string.
 
         Raises:
             UnknownName: no controller of that kind is available.
@@ -107,11 +107,13 @@ class LiveRobot:
             return ""
         return why
 
-    def change(self, values: Mapping[str, Any], text: Callable[[Mapping[str, Any]], str]) -> str:
+    def change(
+        self, values: Mapping[str, Any], format_gains: Callable[[Mapping[str, Any]], str]
+    ) -> str:
         """Changes gains of the current controller unless they are unstable.
 
         Returns:
-            the reason and the largest stable gains if they are refused, or an empty text.
+            error message with the largest stable gains, or an empty string.
         """
         now = self.controller
         try:
@@ -135,7 +137,7 @@ class LiveRobot:
                     return False
                 return True
 
-            largest = text(part(0.99 * largest_share(holds)))
+            largest = format_gains(part(0.99 * largest_share(holds)))
             self.use(now)
             return f"refused: {_reason(error)}. The largest stable value here is {largest}"
         self.controllers[self.control] = declared
@@ -151,7 +153,7 @@ class LiveRobot:
         self._is_moving = True
 
     def before(self, k: int) -> None:
-        """Moves the target for the step after row k of the log."""
+        """Moves the target for the step after log row k."""
         target = self.target
         if not self.controller.needs_target:
             self.goal = self.measured.copy()
@@ -187,13 +189,13 @@ class LiveRobot:
 
 
 class LiveControl:
-    """The robots of a simulation whose controllers and targets can be changed."""
+    """The robots whose controllers and targets can be changed during a simulation."""
 
     def __init__(self) -> None:
         self.robots: dict[str, LiveRobot] = {}
 
     def begin(self, robots: dict[str, LiveRobot]) -> None:
-        """Continues with a restarted simulation with the same controllers."""
+        """Replaces the robots after a restart of the simulation, but not their controllers."""
         before, self.robots = self.robots, robots
         for name, robot in robots.items():
             if name in before:
@@ -202,7 +204,7 @@ class LiveControl:
             robot.choose(robot.control)
 
     def before(self, k: int) -> None:
-        """Moves all targets for the step after row k of the log."""
+        """Moves all targets for the step after log row k."""
         for robot in self.robots.values():
             robot.before(k)
 

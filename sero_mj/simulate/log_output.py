@@ -1,4 +1,4 @@
-"""Outputs of a simulation's log: a recording, and the signals of sent packets."""
+"""Writes a simulation's log to a recording, and provides its signals for sending."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from .scenario import Scenario
 from .simulated_scene import SOURCE
 from .simulation import Simulation
 
-SIGNALS_RATE = 5.0  # default number of decoded rows per simulated second, for plotting programs
+SIGNALS_RATE = 5.0  # default number of JSON rows per simulated second, for plotting programs
 
 
 class RunRecorder:
-    """Writes rows of a simulation's log into a recording, as if they had been received.
+    """Writes rows of a simulation's log to a recording, as if they had been received.
 
-    A replay shows it like the simulation, and `sero-mj compare` reads it. Use it as a context
-    manager.
+    A replay of the recording looks like the simulation, and `sero-mj compare` can read it. Use the
+    recorder as a context manager.
 
     Args:
-        path: output file, OUT.mcap.
-        overwrite: replace an existing file.
+        path: output file (`.mcap`).
+        overwrite: whether to replace an existing file.
         signals_rate: number of rows per simulated second that are also stored as JSON; 0 for none.
 
     Raises:
@@ -64,7 +64,7 @@ class RunRecorder:
         self._every = max(round(1.0 / (signals_rate * timestep)), 1) if signals_rate > 0 else 0
 
     def write(self, first: int, stop: int) -> None:
-        """Writes rows of the log. Raises RecordingError if the disk is full."""
+        """Writes the log rows `first` to `stop - 1`. Raises RecordingError if the disk is full."""
         simulation, writer, begin = self._simulation, self._writer, self._begin
         rows = simulation.rows[first:stop]
         writer.write_rows(SOURCE, rows.view(np.uint8), begin + rows[:, 0])
@@ -104,7 +104,7 @@ def files_of(scenario: Scenario) -> list[Path]:
 
 
 class LogSignals:
-    """The signals of one simulated robot at any past time; can be sent like those of a motion."""
+    """The logged signals of one simulated robot, which can be sent like those of a motion."""
 
     def __init__(self, simulation: Simulation, robot: str) -> None:
         self._simulation = simulation
@@ -117,7 +117,7 @@ class LogSignals:
         }
 
     def signals(self, t: float) -> Mapping[str, Array]:
-        """Returns the signals at a time in seconds."""
+        """Returns the signals in the log row that is nearest to a time in seconds."""
         simulation, timestep = self._simulation, self._simulation.scenario.run.timestep
         row = min(round(t / timestep), simulation.step)
         found = {signal: simulation.rows[row, columns] for signal, columns in self._columns.items()}

@@ -13,12 +13,12 @@ from threading import Lock
 import mujoco
 
 _lock, _depth = Lock(), 0
-_clock: int | None = None  # the clock of the timers when they are enabled
+_clock: int | None = None  # address of the clock function when the timers are enabled
 
 
 @contextmanager
 def without_timers() -> Iterator[None]:
-    """Disables the timers of MuJoCo (`MjData.timer`) in this process for a while.
+    """Disables MuJoCo's timers (`MjData.timer`) in this process while the context is active.
 
     Each timer reads the clock twice for every part of a step. MuJoCo does not use a clock by
     default, but its Python package installs one, and `mujoco.set_mjcb_time(None)` installs it

@@ -27,7 +27,7 @@ _POSITION, _SPEED, _ACCELERATION = _UNSTABLE = [
 
 
 class Physics:
-    """m worlds that are stepped together.
+    """The m worlds of a batch, which MuJoCo steps together.
 
     A single world is a plain `MjData`, because a batch of one takes 4 to 8 us longer per step
     (`mj_step` of an LWR takes 7 us), and reading its `MjData` takes another 8 us. If the motion of
@@ -38,11 +38,11 @@ class Physics:
 
     Attributes:
         batch: MuJoCo's batch; None for one world.
-        qpos: positions, shape (m, nq), in place.
-        qvel: velocities, shape (m, nv), in place.
-        applied: `qfrc_applied`, shape (m, nv), in place, Nm or N.
-        unstable: worlds whose motion has become unstable since `begin`, shape (m,).
-        broken: time (s) and accelerations (nv,) of each of these worlds.
+        qpos: generalized positions, shape (m, nq); may be changed in place.
+        qvel: generalized velocities, shape (m, nv); may be changed in place.
+        applied: applied torques (`qfrc_applied`), shape (m, nv), Nm or N; may be changed in place.
+        unstable: mask of worlds whose motion has become unstable since `begin`, shape (m,).
+        broken: time in seconds and accelerations, shape (nv,), of each unstable world.
         is_forwarded: whether kinematics and bias torques of the current state are computed.
     """
 
@@ -81,7 +81,7 @@ class Physics:
         self.is_forwarded = True
 
     def begin(self, which: Bools) -> None:
-        """Selects the worlds of the next steps by flags, shape (m,)."""
+        """Selects the worlds to be stepped with a mask, shape (m,)."""
         self.unstable[:] = False
         self.broken.clear()
         self._which = which.copy()
@@ -91,7 +91,7 @@ class Physics:
             self._before: Array = self.batch.state.copy()
 
     def bind(self, field: str) -> Array:
-        """Returns a field of `MjData` of all worlds, (m, ...), updated by `step` and `forward`."""
+        """Returns an `MjData` field of all worlds, (m, ...), which `step` and `forward` update."""
         if self.batch is None:
             return np.asarray(getattr(self._data, field))[None]
         if field not in self._bound:
@@ -109,7 +109,7 @@ class Physics:
         self._ids = None if self._which.all() else np.flatnonzero(self._which)
 
     def step(self) -> bool:
-        """Simulates a step of the selected worlds; returns whether their motion is stable."""
+        """Steps the selected worlds, and returns whether their motion is stable."""
         if self.batch is None:
             (mj_step2 if self.is_forwarded else mj_step)(self.model, self._data)
             self.is_forwarded = False
@@ -136,7 +136,7 @@ class Physics:
         return not broken.any()
 
     def forward(self) -> None:
-        """Computes kinematics and bias torques of the selected worlds, unless up to date."""
+        """Computes kinematics and bias torques of the selected worlds if they are out of date."""
         if self.is_forwarded:
             return
         if self.batch is None:
@@ -146,7 +146,7 @@ class Physics:
         self.is_forwarded = True
 
     def poses_of(self, worlds: Sequence[int], bodies: Ints) -> Array:
-        """Returns T_world_body, (k, 4, 4), m, of k bodies, each in the matching one of `worlds`."""
+        """Returns the poses T_world_body, shape (k, 4, 4), m, for k pairs of a world and a body."""
         positions, rotations = self.bind("xpos"), self.bind("xmat")
         self.forward()
         at = np.asarray(worlds, np.intp), bodies
@@ -156,7 +156,7 @@ class Physics:
         return poses
 
     def data_of(self, k: int) -> mujoco.MjData:
-        """Returns the data of a world; in a batch, a copy that is valid until the next call."""
+        """Returns a world's `MjData`; in a batch, a copy that is valid until the next call."""
         return self._data if self.batch is None else self.batch.get_data(k, self._data)
 
     def model_of(self, k: int) -> mujoco.MjModel:
@@ -170,7 +170,7 @@ class Physics:
         return self._models[k]
 
     def forget_model(self, k: int) -> bool:
-        """Gives a world the shared model again; returns whether it had its own."""
+        """Replaces a world's model with the shared model, and returns whether it had its own."""
         is_own = self._models[k] is not self.model
         if is_own and self.batch is not None:
             self._models[k] = self.model
@@ -195,10 +195,10 @@ class Physics:
     def read_inner_forces(self, couplings: Ints, dofs_with_friction: Ints, out: Array) -> None:
         """Writes the forces of couplings and Coulomb friction in the last step, Nm or N.
 
-        They are valid until `forward`.
+        It must be called before `forward`, which changes the forces in MuJoCo's data.
 
         Args:
-            out: output array (m, k).
+            out: output array, shape (m, couplings + degrees of freedom with friction).
         """
         if self.batch is None:
             _read_inner_forces(self._data, couplings, len(dofs_with_friction), out[0])

@@ -21,26 +21,26 @@ from .sensors import SensorRows, Sensors
 
 P = TypeVar("P", bound=Push)
 
-MAX_TORQUE = 1e9  # Nm, norm of all motor torques; the comparison fails for NaN, too
+MAX_TORQUE = 1e9  # maximum norm of all motor torques, Nm; the comparison also fails for NaN
 
 
 class PlantRows:
-    """The robots of m worlds with the same model, which are stepped together.
+    """The robots of m worlds (rows) with the same model, which are stepped together.
 
     Args:
-        world: compiled with `dynamic=True`.
+        world: world that was compiled with `dynamic=True`.
 
     Attributes:
-        n: number of joints of all robots of a row.
+        n: number of joints of all robots in a row.
         measured: sensor readings, shape (m, 3, n); always the same array.
-        motor_angles: true motor angles, shape (m, n), rad; always the same array. In elastic
-            joints, the motor is before the spring.
+        motor_angles: true motor angles, shape (m, n), rad; always the same array. They differ from
+            the link angles in elastic joints.
         motor_velocities: true motor velocities, shape (m, n), rad/s.
         pushes: active pushes of each row.
-        has_pushes: whether a push is active, or was in the last step.
+        has_pushes: whether a push is active, or was active in the last step.
         has_changed: whether the set of active pushes has changed since the last step.
         pushed: generalized forces of pushes in the last step, shape (m, nv), Nm or N.
-        failed: errors of rows that could not take the last step.
+        failed: errors by row, for rows that could not be stepped.
     """
 
     def __init__(
@@ -70,25 +70,25 @@ class PlantRows:
         self._scratch = self.physics.data_of(0) if m == 1 else mujoco.MjData(model)
 
     def row(self, row: int) -> Plant:
-        """Returns the robots of a row as a new object, which avoids a reference cycle."""
+        """Returns a new `Plant` of a row, which is not stored to avoid a reference cycle."""
         return Plant(self.world, self._each[row], rows=self, row=row)
 
     @property
     def actual(self) -> Array:
         """True link angles, link velocities and joint torques, shape (m, 3, n); rad, rad/s, Nm.
 
-        The torques are those between motors and links in the last step. Do not write to the array.
+        The torques acted between motors and links in the last step. Do not write to the array.
         """
-        if self._is_measured and not self.sensors.is_perfect:  # a fault has just begun
+        if self._is_measured and not self.sensors.is_perfect:  # a sensor fault has just begun
             np.copyto(self._actual, self.measured)
             self._is_measured = False
         return self.measured if self._is_measured else self._actual
 
     def reset(self, row: int, joint_angles: Array | None = None) -> None:
-        """Resets the robots of a row to rest. In a batch, its model is reset, too.
+        """Resets the robots of a row to rest. In a batch, the row's model is reset, too.
 
         Args:
-            joint_angles: joint values (n,), rad (default: the declared values).
+            joint_angles: joint angles, shape (n,), rad (default: the declared angles).
         """
         physics, data, joints = self.physics, self._scratch, self.joints
         if physics.m > 1 and physics.forget_model(row):
@@ -109,13 +109,13 @@ class PlantRows:
         sensors.reset(self.actual[row].copy())
 
     def step(self, motor_torques: Array) -> Array:
-        """Simulates one timestep. Errors of rows that cannot take it are in `failed`.
+        """Simulates one time step. Errors of rows that cannot be stepped are stored in `failed`.
 
         Args:
             motor_torques: torques before gear friction, at the joint side, shape (m, n), Nm.
 
         Returns:
-            `measured`, shape (m, 3, n).
+            sensor readings `measured`, shape (m, 3, n).
         """
         applied = self.joints.motor_torques
         applied[...] = motor_torques
@@ -133,7 +133,7 @@ class PlantRows:
         self.physics.drop(row)
 
     def step_with_set_torques(self) -> Array:
-        """As `step`, with `joints.motor_torques` as they are, unchecked."""
+        """Simulates one time step with `joints.motor_torques`, without checking the torques."""
         joints, is_single = self.joints, self.physics.m == 1
         if is_single and self.failed:
             return self.measured
@@ -178,13 +178,13 @@ class PlantRows:
 class Plant:
     """All robots of a dynamic world, or of one row of `PlantRows`.
 
-    Joints are in the order of `world.robots`. After construction and, if `rows.joints.forwards`,
-    after every step, `data` holds the kinematics, the mass matrix and the bias torques
-    (`qfrc_bias`) of its state.
+    Joints are in the order of `world.robots`. After construction, `data` holds the kinematics, the
+    mass matrix and the bias torques (`qfrc_bias`) of its state. If `rows.joints.forwards` is true,
+    it also does so after every step.
 
     Args:
-        world: compiled with `dynamic=True`.
-        sensors: None for perfect sensors.
+        world: world that was compiled with `dynamic=True`.
+        sensors: sensors of all joints (default: perfect sensors).
         timestep: time step, s (default: the time step of the model).
 
     Attributes:
@@ -211,14 +211,14 @@ class Plant:
         if timestep is not None:
             if not 0 < timestep < 1:
                 raise Problem(
-                    "timestep", found=timestep, of="s", expected="more than 0, below 1"
+                    "timestep", found=timestep, of="s", expected="more than 0 and less than 1 s"
                 ).error()
             world.model.opt.timestep = timestep
         n = sum(part.robot.n for part in world.robots.values())
         self.sensors = Sensors(n) if sensors is None else sensors
         if self.sensors.n != n:
             raise Problem(
-                "", "found sensors of", found=self.sensors.n, of="joints", expected=n
+                "", "found sensors of", found=self.sensors.n, of="joints", expected=f"{n} joints"
             ).error()
         self.world, self.row, self.n = world, row, n
         self.rows = PlantRows(world, [self.sensors]) if rows is None else rows
@@ -233,23 +233,23 @@ class Plant:
     def actual(self) -> Array:
         """True link angles, link velocities and joint torques, shape (3, n); rad, rad/s, Nm.
 
-        The torques are those between motors and links in the last step. Do not write to the array.
+        The torques acted between motors and links in the last step. Do not write to the array.
         """
         return np.asarray(self.rows.actual[self.row])
 
     @property
     def model(self) -> mujoco.MjModel:
-        """The `MjModel`; payloads and frictions change it."""
+        """MuJoCo model, which payloads and friction changes modify."""
         return self.rows.physics.model_of(self.row)
 
     @property
     def data(self) -> mujoco.MjData:
-        """The `MjData`; in a batch, a copy that is valid until another row's `data` is read."""
+        """MuJoCo data; in a batch, a copy that is valid until another row's `data` is read."""
         return self.rows.physics.data_of(self.row)
 
     @property
     def qpos(self) -> Array:
-        """MuJoCo's positions, shape (nq,), in place."""
+        """MuJoCo's generalized positions, shape (nq,); may be changed in place."""
         return np.asarray(self.rows.physics.qpos[self.row])
 
     @property
@@ -269,14 +269,14 @@ class Plant:
         return np.asarray((applied - self.pushed)[self.joints.motor_dofs])
 
     def step(self, motor_torques: Array) -> Array:
-        """Simulates one timestep of a single row.
+        """Simulates one time step of a single row.
 
         Args:
             motor_torques: torques before gear friction, at the joint side, shape (n,), Nm. They are
                 not limited.
 
         Returns:
-            `measured`, shape (3, n); always the same array.
+            sensor readings `measured`, shape (3, n); always the same array.
 
         Raises:
             SimulationError: a torque is not finite, or the motion has become unstable. `measured`
@@ -290,13 +290,13 @@ class Plant:
     def reset(self, joint_angles: Any | None = None) -> None:
         """Resets the robots to rest and removes all pushes.
 
-        Payloads, frictions and sensor faults stay; the noise restarts.
+        Outside of a batch, payloads, friction and sensor faults remain. The noise restarts.
 
         Args:
-            joint_angles: joint angles of all robots, shape (n,), rad; None for the declared ones.
+            joint_angles: joint angles of all robots, shape (n,), rad (default: declared angles).
 
         Raises:
-            ValueError: not n finite numbers.
+            ValueError: the joint angles are not n finite numbers.
         """
         angles = None if joint_angles is None else numbers(joint_angles)
         if angles is not None and angles.shape != (self.n,):
@@ -308,7 +308,7 @@ class Plant:
     def external_torques(self) -> Array:
         """Returns the true external torques on the links in the last step, shape (n,), Nm.
 
-        They come from pushes, contacts and joint stops. A payload is part of its robot.
+        They result from pushes, contacts and joint stops. A payload is part of its robot.
         """
         return self.joints.external(self.row, self.pushed)
 
@@ -320,26 +320,26 @@ class Plant:
         expressed_in: str = "world",
         at: ArrayLike = (0.0, 0.0, 0.0),
     ) -> Push:
-        """Applies a force and a torque at a frame until `release`.
+        """Applies a force and a torque at a frame until `release` is called.
 
         Args:
-            frame: frame at whose origin they act, for example `lwr/flange`.
-            force: force vector (3,), N.
-            torque: torque vector (3,), Nm.
+            frame: frame that the force and the torque move with, for example `lwr/flange`.
+            force: force vector, shape (3,), N.
+            torque: torque vector, shape (3,), Nm.
             expressed_in: frame in whose axes both are expressed.
-            at: point of application in `frame`, shape (3,), m.
+            at: point of application in `frame`, shape (3,), m (default: the origin).
 
         Returns:
             the push, whose `force` and `torque` can be changed at any time.
 
         Raises:
             UnknownName: there is no such frame.
-            ValueError: not three finite numbers.
+            ValueError: a vector does not have three finite numbers.
         """
         return self.add_push(Push(self.world, frame, force, torque, expressed_in, at))
 
     def add_push(self, push: P) -> P:
-        """Applies a push until `release`; see `push`."""
+        """Applies a push until `release` is called with it, and returns the push."""
         self.rows.pushes[self.row].append(push)
         self.rows.has_pushes = self.rows.has_changed = True
         return push
@@ -358,17 +358,17 @@ class Plant:
         center_of_mass: ArrayLike = (0.0, 0.0, 0.0),
         inertia: ArrayLike | None = None,
     ) -> None:
-        """Attaches a payload to a robot's flange and replaces a previous one.
+        """Attaches a payload to a robot's flange, in place of the previous payload.
 
         Args:
             mass: mass of the payload, kg.
-            center_of_mass: center of mass (3,) in the flange frame, m.
+            center_of_mass: center of mass in the flange frame, shape (3,), m.
             inertia: inertia about the center of mass, in the flange's axes, kg m2: 6 numbers (Ixx,
-                Iyy, Izz, Ixy, Ixz, Iyz) or shape (3, 3); None for that of a steel ball.
+                Iyy, Izz, Ixy, Ixz, Iyz) or shape (3, 3) (default: the inertia of a steel ball).
 
         Raises:
             UnknownName: there is no such robot.
-            ValueError: no rigid body has this mass and inertia.
+            ValueError: a rigid body cannot have this mass and inertia.
         """
         self._part(robot)
         attach_payload(self.rows.physics.own_model(self.row), robot, mass, center_of_mass, inertia)
@@ -383,15 +383,15 @@ class Plant:
     def set_friction(
         self, robot: str, viscous: ArrayLike | None = None, coulomb: ArrayLike | None = None
     ) -> None:
-        """Changes a robot's friction from now on.
+        """Changes the joint friction of a robot.
 
         Args:
-            viscous: one number or shape (n,), Nm s/rad; None to leave it unchanged.
-            coulomb: one number or shape (n,), Nm; None to leave it unchanged.
+            viscous: viscous friction, scalar or shape (n,), Nm s/rad (default: unchanged).
+            coulomb: Coulomb friction, scalar or shape (n,), Nm (default: unchanged).
 
         Raises:
             UnknownName: there is no such robot.
-            ValueError: a negative friction, or neither one nor n numbers.
+            ValueError: a value is negative, or the number of values is neither 1 nor n.
         """
         dofs, model = self._part(robot).dofs, self.rows.physics.own_model(self.row)
         for name, value, target in (
@@ -415,7 +415,7 @@ class Plant:
         self.rows.physics.refresh(self.row)
 
     def flange(self, robot: str) -> Array:
-        """Returns the true T_world_flange as a new array, shape (4, 4), m."""
+        """Returns the true flange pose T_world_flange as a new array, shape (4, 4), m."""
         body = np.array([self.flange_body(robot)])
         return np.asarray(self.rows.physics.poses_of([self.row], body)[0])
 
@@ -435,7 +435,7 @@ class Plant:
         return names[row]
 
     def torque_error(self) -> SimulationError:
-        """Returns the error for invalid motor torques, and sets these to zero."""
+        """Returns the error for invalid motor torques, and sets the torques to zero."""
         torques = self.joints.motor_torques[self.row]
         joint = int(np.argmax(~(np.abs(torques) < MAX_TORQUE / np.sqrt(self.n))))
         problem = Problem(
@@ -449,7 +449,7 @@ class Plant:
         return SimulationError(float(self.data.time), self._joint_name(joint), problem)
 
     def motion_error(self) -> SimulationError:
-        """Returns the error for an unstable motion; it names the joint."""
+        """Returns the error for an unstable motion, which names the joint."""
         time, accelerations = self.rows.physics.broken[self.row]
         found = accelerations[self.joints.motor_dofs]
         broken = ~(np.abs(found) < mujoco.mjMAXVAL)

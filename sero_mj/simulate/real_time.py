@@ -1,4 +1,4 @@
-"""Delay behind real time: warnings during and after a run, and values of its log."""
+"""Warnings about runs that fall behind real time, and the delays in their logs."""
 
 from __future__ import annotations
 
@@ -11,17 +11,17 @@ from .runs.run_log import RunLog, event_of
 
 log = logging.getLogger(__name__)
 
-_LATE = 0.1  # s, delay that is reported
-_EVERY = 5.0  # s between two warnings
+_LATE = 0.1  # minimum delay that causes a warning, s
+_EVERY = 5.0  # minimum time between two warnings, s
 
 
 @dataclass(frozen=True)
 class RealTime:
-    """The timing of a robot in a run.
+    """Real-time performance of a robot's controller in a run.
 
     Attributes:
         factor: simulated time divided by elapsed time.
-        max_lateness: maximum delay at the beginning of a step, s.
+        max_lateness: maximum delay behind real time at the beginning of a step, s.
     """
 
     factor: float
@@ -29,7 +29,7 @@ class RealTime:
 
 
 def real_time_of(log: RunLog) -> dict[str, RealTime]:
-    """Returns the timing of robots that were controlled in real time, by name."""
+    """Returns the real-time performance of each robot that was controlled in real time."""
     found = {}
     for robot in log.robots:
         late = log.signals.get(event_of(robot, STEP_LATENESS))
@@ -44,11 +44,11 @@ class RealTimeWatch:
 
     def __init__(self, name: str) -> None:
         self._name = name
-        self._known = 0.0  # s, reported delay
+        self._known = 0.0  # last reported delay, s
         self._warned = -_EVERY
 
     def update(self, time: float, late: float) -> None:
-        """Warns if the delay has increased.
+        """Warns if the delay has increased by more than 0.1 s since the last warning.
 
         Args:
             time: simulated time, s.
@@ -61,7 +61,7 @@ class RealTimeWatch:
             self._known, self._warned = late, now
 
     def finish(self, time: float, late: float) -> None:
-        """Warns if the run has ended behind real time; see `update` for arguments."""
+        """Warns if the run has ended behind real time. The arguments are those of `update`."""
         if late > _LATE:
             log.warning("%s was late: %s", self._name, _took(time, late))
 

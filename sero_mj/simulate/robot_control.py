@@ -1,4 +1,4 @@
-"""`ControlledRobot`: a robot with its controller; `RobotControl`: computes torques in each step."""
+"""`ControlledRobot`: a robot with its controller. `RobotControl`: computes torques in each step."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .control.torque_loop import StaticDeflection
 from .joint_model import as_slice
 from .plant import Plant, PlantRows
 
-_ROUNDS = 30  # iterations of `StaticDeflection`, until less than 0.2 % of the error is left
+_ROUNDS = 30  # iterations of `StaticDeflection`, after which less than 0.2 % of the error remains
 _MOVE = 1e-5  # step of the numeric derivatives, rad and rad/s
 
 
@@ -27,14 +27,14 @@ class ControlledRobot:
     """A robot of a run with its controller and target.
 
     Args:
-        stiffness: stiffness of elastic joints behind a torque loop, shape (n,), Nm/rad (N/m); None
-            without them.
-        make_model: makes the robot model of the controller; may be called at any time.
+        stiffness: stiffness of elastic joints behind a torque loop, shape (n,), Nm/rad (N/m), or
+            None if there are none.
+        make_model: function that makes a robot model for the controller at any time.
 
     Attributes:
-        joints: slice of its joints in the plant.
-        controller: the controller with its torque limits.
-        control: computes its torques, possibly together with those of other robots.
+        joints: slice of the robot's joints in the plant.
+        controller: controller with its torque limits.
+        control: object that computes the torques, possibly for several robots.
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
@@ -84,7 +84,7 @@ class ControlledRobot:
 
     @property
     def in_use(self) -> tuple[Any, LimitedController]:
-        """The declaration of the controller, and the controller."""
+        """Declaration of the current controller, and the controller itself."""
         return self.declared, self.controller
 
     @in_use.setter
@@ -93,7 +93,7 @@ class ControlledRobot:
 
     @property
     def group(self) -> object:
-        """Hashable value; robots with equal values can share a `RobotControl`. None for none."""
+        """Hashable key: robots with equal keys can share a `RobotControl`. None for no sharing."""
         controller = self.controller.controller
         if controller.group is None:
             return None
@@ -121,10 +121,10 @@ class ControlledRobot:
 
         Returns:
             mass matrix of the links, stiffness matrix and damping matrix of the controller, shape
-                (n, n) each. The last two are the slopes by which torques decrease with angles and
-                velocities, without limits. Gravity compensation is left out: only the restoring
-                part of the stiffness counts. Both are zero if the controller must not be called
-                outside of a run (`may_be_probed`).
+                (n, n) each. Stiffness and damping are the negative derivatives of the unlimited
+                torques with respect to angles and velocities. The stiffness consists of its
+                restoring part, so gravity compensation has no effect. Both are zero if the
+                controller must not be called outside of a run (`may_be_probed`).
         """
         n, model = len(angles), self.model()
         slopes: Array = np.zeros((2, n, n))
@@ -165,17 +165,17 @@ class RobotControl:
     case, the rows are the first axis of all arrays.
 
     Args:
-        drive: output array (m, 2, n) for torques of all joints of the plant, Nm or N: commanded
-            torques, and torques before the limits.
+        drive: output array for commanded torques, and for torques before the limits, of all joints
+            of the plant, shape (m, 2, n), Nm or N.
         row: index of the controlled row; None for all rows.
 
     Attributes:
-        rows: shape of the first axes of arrays: () for one row, or (m,).
+        rows: leading shape of all arrays: () for one row, or (m,).
         parts: slice of each robot's joints among the controlled joints.
-        commanded: torques of the last step, Nm or N.
-        controller: the controller with its torque limits; set it by `use`.
-        deflection: static deflection of elastic joints; None if it does not matter.
-        live: pairs of targets; the second is copied to the first in every step.
+        commanded: commanded torques of the last step, Nm or N.
+        controller: controller with its torque limits, which `use` sets.
+        deflection: static deflection of elastic joints; None if it is not needed.
+        live: pairs of targets, of which the second is copied to the first in every step.
     """
 
     controller: LimitedController
@@ -213,7 +213,7 @@ class RobotControl:
         self.target = Target(n, self.rows)
         self.deflection: StaticDeflection | None = None
         self.live: list[tuple[Target, Target]] = []
-        self._moving: list[tuple[Array, Array]] = []  # destination, and source of every step
+        self._moving: list[tuple[Array, Array]] = []  # destination, and source for every step
         self.commanded: Array = np.zeros((*self.rows, n))
         self._requested: Array | None = None
         if is_view:
@@ -243,7 +243,7 @@ class RobotControl:
         *,
         is_live: bool,
     ) -> RobotControl:
-        """Returns one control of robots in all rows, whose controllers have the same group.
+        """Returns one control for the robots in all rows, whose controllers have the same group.
 
         Args:
             is_live: whether targets can change at any time.
@@ -291,10 +291,10 @@ class RobotControl:
         self.controller = controller
 
     def command(self, k: int, time: float) -> None:
-        """Computes `commanded` for the step after row k of the log.
+        """Computes `commanded` for the step after log row k.
 
         Raises:
-            SimulationError: a torque of the only robot is NaN or infinite.
+            SimulationError: a torque is NaN or infinite. It is raised only for a single robot.
         """
         sensed, joints = self.sensed, self._joints
         for to, measured in self._read:

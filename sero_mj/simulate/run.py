@@ -31,8 +31,8 @@ from .scenario import Scenario
 T = TypeVar("T")
 
 
-# In seconds: half of the observer's time constant at its default gain. Ten times cheaper than an
-# estimate in every step.
+# Time between two estimates in seconds: half of the observer's time constant at its default gain.
+# Estimates in every step would cost ten times as much.
 OBSERVED_EVERY = 0.01
 
 
@@ -43,12 +43,10 @@ def observed_every(scenario: Scenario) -> int:
 
 
 class BatchRun:
-    """One row of a batch.
-
-    See `Simulation` for arguments, attributes and errors.
+    """One run of a batch. See `Simulation` for arguments, other attributes and errors.
 
     Attributes:
-        controlled: the robots with their controllers, in the order of `robots`.
+        controlled: robots with their controllers, in the order of `robots`.
     """
 
     def __init__(
@@ -175,7 +173,7 @@ class BatchRun:
         return RunLayout(joints, targets, events)
 
     def open_log(self, rows: Array) -> None:
-        """Starts a log in `rows`, (steps + 1, width), which holds the initial measurements."""
+        """Starts the log in `rows`, shape (steps + 1, width), whose first row has measurements."""
         self.rows, columns = rows, self.layout.columns
         rows[:, 0] = self.times
         for name, plan in self._plans.items():
@@ -198,7 +196,7 @@ class BatchRun:
             for robot in self.controlled
         }
         self._has_logged = any(self._logged.values())
-        # Controllers that run in real time and do not log their delay themselves.
+        # Columns for the delays of real-time controllers that do not log them themselves.
         self._timed = [
             columns[event_of(robot.robot.name, STEP_LATENESS)]
             for robot in self.controlled
@@ -230,9 +228,9 @@ class BatchRun:
         )
 
     def robot_model(self, robot: SerialRobot) -> RobotModel:
-        """Returns a new model of a robot, including what the robot carries.
+        """Returns a new model of a robot, including the robots that are mounted on it.
 
-        Behind a torque loop, the model has the shaped motor inertias.
+        With joint torque control, the model has the shaped motor inertias.
         """
         return _robot_model(self._setup, self.whole_body, robot)
 
@@ -243,7 +241,7 @@ class BatchRun:
 
     @property
     def wakes(self) -> float:
-        """Next row for which `prepare` must be called if `prepares` is false; infinite for none."""
+        """Next row for which `prepare` must be called even if `prepares` is false, or infinity."""
         return self._schedule.next
 
     @property
@@ -258,7 +256,7 @@ class BatchRun:
             act(k)
 
     def finish(self, k: int) -> None:
-        """Writes the columns of row k other than measured values and torques."""
+        """Writes all values of log row k except measured values and torques."""
         if self._free:
             self._write_free(k)
         if self.drag_force is not None:
@@ -289,7 +287,7 @@ class BatchRun:
                 self.rows[k, self.layout.columns[event_of(name, "target_angles")]] = wanted
 
     def write_contacts(self, k: int) -> None:
-        """Writes the contact forces of the last step into row k."""
+        """Writes the contact forces of the last step to log row k."""
         if self._contacts is None:
             return
         forces = self._contacts.update(self.plant.model, self.plant.data)
@@ -299,7 +297,7 @@ class BatchRun:
     def use_controller(self, robot: str, controller: ControllerDeclaration) -> None:
         """Replaces the controller of a robot from the next step on.
 
-        If an error is raised, the previous controller stays in use.
+        If an error is raised, the previous controller remains in use.
 
         Raises:
             DeclarationError: the gains do not fit the robot, or are unstable at this time step and

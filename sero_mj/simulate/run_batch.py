@@ -1,8 +1,8 @@
 """`RunBatch`: simulates runs with the same robots together; a single run is a batch of one.
 
-MuJoCo, drives, sensors, the log, the observers and controllers of the same group are computed once
-for all runs. Other controllers are called one by one. The result of a run does not depend on its
-batch, except for rounding.
+MuJoCo, drives, sensors, log, observers and controllers of the same group are computed together for
+all runs. Other controllers are called one by one. The result of a run does not depend on its batch,
+except for rounding.
 """
 
 from __future__ import annotations
@@ -30,10 +30,10 @@ _OWN = ("seed", "observer_gain", "show_targets", "show_paths")
 
 
 def batch_key(scenario: Scenario) -> object:
-    """Returns a hashable value; scenarios with equal values can be simulated in one batch.
+    """Returns a hashable key. Scenarios with equal keys can be simulated in one batch.
 
-    They have the same robots, surroundings, duration, rates and drives. Controllers, targets,
-    sensors, disturbances, faults and expectations may differ.
+    Such scenarios have the same robots, surroundings, duration, rates and drives. Controllers,
+    targets, sensors, disturbances, faults and expectations may differ.
     """
     scene, run = scenario.scene, scenario.run
     shared = {key: getattr(run, key) for key in type(run).model_fields if key not in _OWN}
@@ -46,7 +46,7 @@ class RunBatch(BatchSetup):
 
     Args:
         scenarios: scenarios with the same `batch_key`.
-        raises: whether an error of a run is raised; otherwise it becomes the run's `error`.
+        raises: whether an error in a run is raised instead of stored as the run's `error`.
     """
 
     def __init__(
@@ -59,7 +59,7 @@ class RunBatch(BatchSetup):
     ) -> None:
         super().__init__(scenarios, seeds, compiler)
         self._raises = raises
-        self._runs: list[ref[BatchRun]] = []  # weak: runs without other references are skipped
+        self._runs: list[ref[BatchRun]] = []  # runs without other references are skipped
         self._limit_speeds(self._run.runaway_speed)
 
     def _limit_speeds(self, share: float) -> None:
@@ -70,7 +70,7 @@ class RunBatch(BatchSetup):
         self._motor_speeds = self.plant.motor_velocities if self.plant.joints.elastic else None
 
     def restart(self, joint_angles: Array, seed: int) -> None:
-        """Resets the plant of the only run to a pose at rest, with a new seed."""
+        """Resets the plant of a single run to rest in a pose, with a new noise seed."""
         plant = self.plant.row(0)
         plant.sensors.seed = seed
         plant.reset(joint_angles)
@@ -79,7 +79,7 @@ class RunBatch(BatchSetup):
             self.drives.reset()
 
     def begin(self, runs: Sequence[BatchRun]) -> None:
-        """Makes the logs of new runs at rest."""
+        """Creates the logs and observers of new runs at rest."""
         self.carried.clear()
         self._runs = [ref(run) for run in runs]
         layout, steps = runs[0].layout, self._run.steps
@@ -93,7 +93,7 @@ class RunBatch(BatchSetup):
             for signals in (MEASURED, ACTUAL, DRIVEN)
         )
         self._measured[0], self._actual[0] = self.plant.measured, self.plant.actual
-        self._driven[0, :, 0] = self.plant.actual[:, 2]  # the torques that hold it at rest
+        self._driven[0, :, 0] = self.plant.actual[:, 2]  # torques that hold the robots at rest
         observed: dict[int, list[int]] = defaultdict(list)
         self._estimated: dict[int, Array] = {}
         for run in runs:
@@ -181,19 +181,19 @@ class RunBatch(BatchSetup):
                 self._stop_runaways(going, speeds)
 
     def _sort(self, going: list[BatchRun]) -> None:
-        # Sorted once per `advance`: calling every run in every step costs as much as a step.
-        # Runs that have ended stay in these lists.
+        # The runs are sorted once per `advance`, because calling each run in each step costs as
+        # much as a step. Runs that have ended stay in these lists.
         self._by_row = {run.plant.row: run for run in going}
         self._busy = [run for run in going if run.prepares]
         self._resting = [run for run in going if not run.prepares]
-        self._wakes: float = 0  # the next row for which one of these has an event
+        self._wakes: float = 0  # next row for which a resting run has an event
         self._finishing = [run for run in going if run.finishes]
 
     def _prepare(self, going: list[BatchRun], k: int) -> None:
-        asked = self._busy
+        due = self._busy
         if is_waking := k >= self._wakes:
-            asked = asked + [run for run in self._resting if run.wakes <= k]
-        for run in asked:
+            due = due + [run for run in self._resting if run.wakes <= k]
+        for run in due:
             if run.error is None:
                 try:
                     run.prepare(k)
@@ -242,7 +242,7 @@ class RunBatch(BatchSetup):
                 estimates = observer.update(self._measured[k - observer.every + 1 : k + 1])
                 for row, estimate in zip(observer.rows, estimates, strict=True):
                     self._estimated[row][k : k + observer.every] = estimate
-        for run in self._by_row.values():  # controllers and hooks read the time from it
+        for run in self._by_row.values():  # controllers and hooks read the time from `step`
             if run.error is None:
                 run.step = k
 
@@ -291,7 +291,7 @@ class RunBatch(BatchSetup):
         problem = Problem(
             found=float(speeds[row]),
             of=f"{unit}, more than {self._runaway:g} times {named}",
-            expected="a stable motion; change the gains or torques, or run.runaway_speed (0: off)",
+            expected="a stable motion. Change gains, torques or run.runaway_speed (0 disables it)",
         )
         return SimulationError(time, f"{robot.name}/{robot.names[joint]}", problem)
 
@@ -304,12 +304,12 @@ class _Observer:
         self._own = MomentumObserver(models, gains, timestep * every)
 
     def update(self, measured: Array) -> Array:
-        """Returns estimated external torques, (k, n), Nm or N, valid until the next call.
+        """Returns estimated external torques, shape (k, n), Nm or N, valid until the next call.
 
         The observer uses the mean of the measured torques since the last update.
 
         Args:
-            measured: angles, velocities and torques, shape (steps, m, 3, n).
+            measured: angles, velocities and torques since then, shape (steps, m, 3, n).
         """
         own = measured if measured.shape[1] == len(self.rows) else measured[:, self.rows]
         angles, velocities = own[-1, :, 0], own[-1, :, 1]

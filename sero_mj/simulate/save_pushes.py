@@ -16,28 +16,28 @@ from .log_output import RunRecorder
 from .scenario import Scenario
 from .simulation import Simulation
 
-_DIGITS = 9  # of times, s
+_DIGITS = 9  # decimal places of times in seconds
 
 
 def save_pushes(simulation: Simulation, folder: Path) -> Path:
     """Saves a run with drags as `NAME_pushed.toml` and `NAME_pushed.mcap`.
 
     Args:
-        folder: output folder. If a file exists, the name gets a number.
+        folder: output folder. If a file exists, a number is appended to the name.
 
     Returns:
-        path of the scenario. It extends the original one and has the drag forces as disturbances,
-            so that it repeats the run exactly.
+        path of the scenario. It extends the original scenario, and repeats the run exactly with the
+            drag forces as disturbances.
 
     Raises:
-        UsageError: nothing was dragged, or the scenario is not from a file.
+        UsageError: nothing was dragged, or the scenario was not read from a file.
         RecordingError: the recording cannot be written.
         SeroError: the scenario cannot be written.
     """
     scenario, drag = simulation.scenario, simulation.drag_force
     pulls = [] if drag is None else [pull for pull in drag.pulls if pull.forces]
     if not pulls:
-        raise UsageError("there are no pushes to save: drag a link with Ctrl held")
+        raise UsageError("there are no pushes to save. Hold Ctrl and drag a link")
     if scenario.file is None:
         raise UsageError("the scenario was made in Python; only a scenario file can be extended")
     path = _unused(folder, f"{scenario.name}_pushed")
@@ -65,7 +65,7 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
 
 
 def save_run(simulation: Simulation, folder: Path) -> Path:
-    """Saves the rows in the log of a run as `NAME.mcap`. If it exists, the name gets a number.
+    """Saves the log of a run as `NAME.mcap`. If the file exists, a number is appended to the name.
 
     Raises:
         RecordingError: the file cannot be written.

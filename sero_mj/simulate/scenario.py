@@ -41,9 +41,9 @@ from .sensors import SIGNALS, SensorErrors, Sensors
 
 log = logging.getLogger(__name__)
 
-TORQUE_RATE = 3000.0  # Hz, rate of joint torque control on the LWR
-OBSERVER_GAIN = 50.0  # 1/s
-_MAX_DURATION = 1e5  # s
+TORQUE_RATE = 3000.0  # rate of joint torque control on the LWR, Hz
+OBSERVER_GAIN = 50.0  # default gain of the momentum observer, 1/s
+_MAX_DURATION = 1e5  # maximum duration of a run, s
 
 
 class RobotSensors(Declaration):
@@ -53,9 +53,9 @@ class RobotSensors(Declaration):
         angles: errors of the encoders.
         velocities: errors of the velocity sensors, or of the differentiated velocities.
         torques: errors of the torque sensors.
-        velocity_filter: bandwidth of the low-pass filter with which velocities are differentiated
-            from the encoder readings, 1/s; None for the true velocities with the errors of
-            `velocities`.
+        velocity_filter: bandwidth of the low-pass filter for velocities that are differentiated
+            from encoder readings, 1/s. If None, velocities are the true velocities with the errors
+            in `velocities`.
     """
 
     angles: SensorErrors = Field(default_factory=SensorErrors)
@@ -65,27 +65,26 @@ class RobotSensors(Declaration):
 
 
 class Run(Declaration):
-    """Settings of a run.
+    """Settings of a simulation run.
 
     Attributes:
         duration: duration of the run, s.
         timestep: time step of the controllers and of the log, s.
-        physics_timestep: time step of physics, sensors and joint torque control, s; `timestep` must
-            be a multiple. Default: `timestep`, or with torque control a fraction of it that gives
-            at least 3 kHz.
-        torque_control: whether there is joint torque control between controllers and motors, see
-            `TorqueControl`; without it, commanded torques act on the motors directly.
+        physics_timestep: time step of physics, sensors and joint torque control, s. `timestep` must
+            be a multiple of it. The default is `timestep`, or with torque control a fraction of
+            `timestep` that gives at least 3 kHz.
+        torque_control: whether joint torque control acts between controllers and motors (see
+            `TorqueControl`). Without it, commanded torques act directly on the motors.
         drive_delay: delay until a motor torque acts, s; a multiple of the physics time step.
-        gravity: gravity vector (3,) in the world, m/s2, which controllers know; zeros for robots
-            in orbit.
+        gravity: gravity vector in the world, shape (3,), m/s2; zeros for robots in orbit. It is
+            known to the controllers.
         seed: seed of all random numbers.
-        elastic: whether the joints of all robots are elastic; None for the setting of each robot.
+        elastic: whether the joints of all robots are elastic (default: the setting of each robot).
         show_targets: whether transparent doubles show the commanded poses.
-        show_paths: whether rows of doubles show the commanded paths.
+        show_paths: whether a series of transparent doubles shows each commanded path.
         observer_gain: gain of the momentum observer, 1/s.
         runaway_speed: velocity of a joint or its motor at which the run ends with an error, as a
-            multiple of the velocity limit; 0 for never. The default velocity limit is 20 rad/s or 5
-            m/s.
+            multiple of the velocity limit (default limit: 20 rad/s or 5 m/s); 0 disables the check.
     """
 
     duration: float = Field(5.0, gt=0, le=_MAX_DURATION)
@@ -313,7 +312,7 @@ class Scenario:
 
     @property
     def obstacles(self) -> list[Object]:
-        """The objects that robots can collide with: all that no robot carries."""
+        """Objects that robots can collide with, which are all objects that no robot carries."""
         payloads = [each for each in self.disturbances.values() if isinstance(each, Payload)]
         carried = {payload.object for payload in payloads}
         return [each for each in self.scene.objects if each.name not in carried]
@@ -330,7 +329,7 @@ class Scenario:
         return any(isinstance(each, ControllerFault) and abs(each.gain) > 1 for each in faults)
 
     def request(self) -> Request | None:
-        """Returns the programs and libraries that a simulation would run, or None."""
+        """Returns the programs and libraries that a simulation would run, or None without any."""
         actions = [
             action
             for name, declared in self.controllers.items()
@@ -348,7 +347,7 @@ class Scenario:
 
     @property
     def withheld(self) -> Request | None:
-        """The programs and libraries that the scenario may not run without permission, or None."""
+        """Programs and libraries that the scenario has no permission to run, or None."""
         origins = [getattr(declared, "origin", None) for declared in self.controllers.values()]
         is_trusted = all(origin is None or origin.is_trusted for origin in origins)
         return None if is_trusted else self.request()
@@ -364,13 +363,13 @@ class Scenario:
         return copied
 
     def has_target(self, robot: str) -> bool:
-        """Whether a robot has a target: a declared one, or its initial pose."""
+        """Returns whether a robot has a target, either a declared one or its initial pose."""
         if self._is_wrong(f"controllers.{robot}", f"targets.{robot}"):
             return True  # its declaration is invalid, which is reported already
         return robot in self.targets or as_controller(self.controller_of(robot)).needs_target
 
     def is_in_real_time(self, robot: str) -> bool:
-        """Whether a robot's controller runs in real time."""
+        """Returns whether a robot's controller runs in real time."""
         controller = as_controller(self.controller_of(robot))
         return bool(controller.is_in_real_time) or self._is_wrong(f"controllers.{robot}")
 
@@ -379,11 +378,11 @@ class Scenario:
         return any(key.startswith(f"{each}.") for key in keys for each in sections)
 
     def controller_of(self, robot: str) -> Any:
-        """Returns the controller of a robot; gravity compensation if none is declared."""
+        """Returns the controller of a robot (default: gravity compensation)."""
         return self.controllers.get(robot, GravityCompensation())
 
     def make_sensors(self, seed: int) -> Sensors:
-        """Returns the sensors of all robots together.
+        """Returns one object with the sensors of all robots.
 
         Raises:
             DeclarationError: a sensor error has the wrong number of values, or delays differ.
@@ -436,7 +435,7 @@ class Scenario:
 
 
 def _share_out(section: dict[str, Any], scene: Scene) -> None:
-    """Replaces entries of groups by entries of their robots; inner groups have priority."""
+    """Replaces group entries with entries for their robots. Inner groups take precedence."""
     around, members = scene.membership.around, scene.membership.members
     own = {name: section.pop(name) for name in [*section] if name in members}
     robots = dict.fromkeys(robot for name in own for robot in members[name])

@@ -38,7 +38,8 @@ from .runs.tables import find_tables
 from .scenario import Run, Scenario, build_entry
 from .sections import OTHERS, SECTIONS
 
-_EVERY = 0.02  # s between two rows: with more rows, encoder noise would dominate the accelerations
+# Time between two rows in seconds. With more rows, encoder noise would dominate the accelerations.
+_EVERY = 0.02
 
 
 def read_scenario(
@@ -46,13 +47,13 @@ def read_scenario(
 ) -> Scenario:
     """Reads and checks a scenario without running it.
 
-    A scenario that `extends` another one consists of that scenario, the entries of the table `set`
-    (with keys like those of `overrides`), and the entries of its own sections.
+    A scenario that `extends` another one consists of that scenario, the overrides in its table
+    `set` and the entries of its own sections.
 
     Args:
         path: TOML file, or name of an included scenario.
-        overrides: values by dotted key that override the file: `controllers.lwr.stiffness`,
-            `run.duration`, `lwr.show_axes`.
+        overrides: values that override the file, by dotted key, for example
+            `controllers.lwr.stiffness`, `run.duration` or `lwr.show_axes`.
         trusted: whether a simulation may run the programs and load the libraries of the scenario.
             Pass False for a file that the user has not chosen to simulate; `base.trust` then
             decides.
@@ -102,7 +103,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         if "scene" in own:
             scene, found = _other_scene(file.parent, own["scene"], tables, of_scene)
         else:
-            known = {*SECTIONS, *OTHERS} - {"description"}  # which scenes have as well
+            known = {*SECTIONS, *OTHERS} - {"description"}  # scenes have a description as well
             scene, found = scene_from_tables(file, tables, of_scene, known=known)
         problems += found
     except DeclarationError as error:
@@ -209,9 +210,9 @@ def _as_set_in(problems: list[Problem], settings: Mapping[str, Any]) -> list[Pro
 
 
 def _read_motions(own: dict[str, Any], scene: Scene, beside: Path) -> list[Problem]:
-    """Reads motions from files.
+    """Reads the motions that targets load from files.
 
-    A robot without a declared pose starts at the start of its motion.
+    A robot without a declared pose starts in the first pose of its motion.
     """
     targets = own.get("targets")
     problems: list[Problem] = []
@@ -265,7 +266,7 @@ def _other_scene(
 def _set_all(
     own: dict[str, Any], settings: Mapping[str, Any], scene: Scene, file: Path
 ) -> list[Problem]:
-    """Applies overrides to the tables of a scenario; missing tables are created.
+    """Applies overrides to the tables of a scenario, and creates missing tables.
 
     Args:
         own: tables by section. Changed tables are replaced by copies.
@@ -314,10 +315,9 @@ def _with_setting(
     value: Any,
     scene: Scene,
 ) -> Any:
-    """Returns an entry of a section with a changed value.
+    """Returns the entry of a section with one changed value.
 
-    An entry for a robot that does not exist yet is a copy of that of its innermost group with an
-    entry.
+    If a robot has no entry yet, the entry of its innermost group with an entry is copied.
 
     Raises:
         ValueError: a part of the key is not a table or list, or there is no such robot.
@@ -349,17 +349,17 @@ def _with_setting(
 
 
 def _with_motion(table: Mapping[str, Any], robot: SerialRobot, beside: Path) -> dict[str, Any]:
-    """Replaces `file` in a table of kind `recorded` by the motion in this file.
+    """Replaces `file` in a target's table of kind `recorded` with the motion in this file.
 
-    A recording (`.mcap`) contains the angles of a robot with the same name, of the robot `of`, or
+    A recording (`.mcap`) contains the angles of the robot `of`, of a robot with the same name, or
     of a single robot. A table (`.csv`) contains times and recognized joint angles, or one column
-    per joint in their order.
+    per joint in the order of the joints.
 
     Args:
         table: table of a target. It is returned unchanged if it does not have a `file`.
 
     Returns:
-        the table with `times` from 0 s on and `angles`, averaged over 20 ms.
+        the table with `angles`, averaged over 20 ms, and their `times`, which start at 0 s.
 
     Raises:
         DeclarationError: the file cannot be read, or has no such motion.

@@ -1,6 +1,6 @@
 """Section names of scenario files.
 
-A module of its own, so that commands can distinguish scenarios from scenes without importing the
+With this separate module, commands can distinguish scenarios from scenes without importing the
 simulator.
 """
 
@@ -16,7 +16,7 @@ OTHERS = ("scene", "run", "description", "extends", "set")
 
 
 def is_scenario(path: Path) -> bool:
-    """Whether a file declares a scenario."""
+    """Returns whether a file declares a scenario."""
     try:
         tables = read_toml(path)
     except DeclarationError:

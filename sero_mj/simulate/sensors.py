@@ -1,12 +1,12 @@
 """`Sensors`: noise, bias, quantization, delay and faults of a robot's sensors.
 
-A value passes gain and bias, noise, quantization and faults, and then the delay. Velocities can be
-differentiated from the readings of the angle encoders before the delay:
+Gain and bias, noise, quantization, faults and delay act on the true value in this order. Velocities
+can be differentiated from the encoder readings before the delay:
 
-    v(k) = v(k-1) + (1 - exp(-w t)) ((q(k) - q(k-1)) / t - v(k-1)),
+    v(k) = v(k-1) + (1 - exp(-w t)) ((q(k) - q(k-1)) / t - v(k-1)).
 
-differences with a first-order low-pass filter of bandwidth w, exact if the difference is constant
-during a step.
+This is the difference quotient for the time step t after a first-order low-pass filter of bandwidth
+w. The filter is exact if the quotient is constant during a step.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..base.frames import Array, Bools, Ints
 Signal = Literal["angles", "velocities", "torques"]
 SIGNALS: tuple[Signal, ...] = ("angles", "velocities", "torques")
 _ERRORS = ("gain", "bias", "noise", "resolution")
-_BLOCK = 256  # steps for which noise is drawn at once; drawing dominates the time otherwise
+_BLOCK = 256  # number of steps of noise drawn at once; single draws would dominate the time
 
 
 def _per_joint(value: Any) -> Array:
@@ -74,16 +74,16 @@ class Sensors:
 
     Args:
         seed: seed of the noise.
-        velocity_filter: bandwidth w of differentiated velocities, shape (n,), 1/s, whose own errors
-            are added; 0 for joints with tachometers. None for tachometers only.
+        velocity_filter: filter bandwidth w of differentiated velocities, shape (n,), 1/s; 0 for
+            joints with tachometers (default: tachometers only). `velocities` errors are added.
         timestep: time t between two readings in seconds; required with `velocity_filter`.
 
     Attributes:
-        rows: the sensors of all rows that are read together; this object is row `row` of them.
+        rows: sensors of all rows, which are read together. This object is the row `row`.
         seed: seed of the noise from the next `reset` on.
 
     Raises:
-        ValueError: an error has neither one number nor n, or the timestep is missing.
+        ValueError: a sensor error has neither one value nor n values, or the time step is missing.
     """
 
     def __init__(
@@ -115,14 +115,11 @@ class Sensors:
         return bool(self.rows.is_idle[self.row])
 
     def reset(self, actual: Array) -> None:
-        """Restarts the noise, and fills the delays with the true values `actual`, shape (3, n)."""
+        """Restarts the noise, and fills the delay buffer from the true values, shape (3, n)."""
         self.rows.reset(self.row, actual, self.seed)
 
     def measure(self, actual: Array) -> Array:
-        """Reads the sensors of a single row from the true values `actual`, shape (3, n).
-
-        Returns `measured`.
-        """
+        """Returns the readings `measured` of a single row for its true values, shape (3, n)."""
         return np.asarray(self.rows.measure(actual[None])[0])
 
     def change(self, signal: Signal, joints: Joints | None = None, **errors: float) -> None:
@@ -146,9 +143,9 @@ class Sensors:
         self.rows.update()
 
     def delay(self, signal: Signal, steps: int, joints: Joints | None = None) -> None:
-        """Sets the delay of a signal in steps; 0 ends it.
+        """Sets the delay of a signal in steps; 0 removes the delay.
 
-        If the signal was not delayed before, only the last reading is available as an earlier one.
+        If the signal was not delayed before, its last reading is used as all earlier readings.
 
         Args:
             joints: indices of joints; None for all.
@@ -179,14 +176,14 @@ class Sensors:
         self.rows.update()
 
     def repair(self) -> None:
-        """Ends all faults and changes."""
+        """Ends all sensor faults, and restores the declared errors and delays."""
         self.rows.repair(self.row)
 
     def end_faults(self, reapply: Callable[[], None]) -> None:
-        """Ends all faults and changes, and applies the remaining ones again.
+        """Ends all sensor faults, and applies the remaining faults again.
 
         Args:
-            reapply: applies the remaining faults, whose held and delayed values continue.
+            reapply: function that applies the remaining faults. Frozen and delayed readings remain.
         """
         rows, row = self.rows, self.row
         held, delays, past = rows.held[row].copy(), rows.delays[row].copy(), rows.past.copy()
@@ -201,18 +198,18 @@ class SensorRows:
     """The sensors of m rows, which are read together. The rows are the first axis of all arrays.
 
     Args:
-        each: the sensors of every row, which have the same number of joints and timestep. They
-            become its rows.
+        each: sensors of each row, with the same number of joints and the same time step. Their
+            `rows` is set to this object.
 
     Attributes:
         measured: last readings, shape (m, 3, n); always the same array.
         errors: gain, bias, noise and resolution, shape (m, 3, n) each; call `update` after a
             change.
-        dead: sensors that read zero, shape (m, 3, n).
-        frozen: sensors that read `held`, shape (m, 3, n).
+        dead: mask of sensors that read zero, shape (m, 3, n).
+        frozen: mask of sensors that hold a reading, shape (m, 3, n).
         delays: delays in steps, shape (m, 3, n).
         past: ring buffer of readings before the delay, shape (L, m, 3, n).
-        is_idle: rows that read the true values, shape (m,).
+        is_idle: mask of rows that read the true values, shape (m,).
         is_perfect: whether all rows read the true values, so that `measure` need not be called.
     """
 
@@ -225,7 +222,7 @@ class SensorRows:
         self.dead, self.frozen = np.zeros((2, *shape), bool)
         self.delays: Ints = np.zeros(shape, np.intp)
         self.past: Array = np.zeros((1, *shape))
-        self._place = 0  # in the ring buffer
+        self._place = 0  # index in the ring buffer
         filters = np.array([one.filters for one in each])
         self._is_filtered: Bools = filters > 0
         self._differentiates = bool(filters.any())
@@ -303,7 +300,7 @@ class SensorRows:
         self.is_perfect = bool(self.is_idle.all())
 
     def reset(self, row: int, actual: Array, seed: int) -> None:
-        """Restarts the noise of a row, and fills its delays with `actual`, shape (3, n)."""
+        """Restarts a row's noise, and fills its delay buffer from the true values, shape (3, n)."""
         self._rngs[row] = np.random.default_rng(seed)
         self._has_drawn[row] = self._has_read[row] = False
         self._k[row], self._speeds[row] = 0, 0.0
@@ -316,7 +313,7 @@ class SensorRows:
         self.measured[row] = self.past[late, row, *self._at[1:]]
 
     def measure(self, actual: Array) -> Array:
-        """Reads all sensors; returns `measured`, shape (m, 3, n)."""
+        """Returns the readings `measured` of all rows, shape (m, 3, n), for their true values."""
         measured = self.measured
         measured[...] = self._read(actual, _ALL)
         if self._is_late:

@@ -30,10 +30,10 @@ _SHOWN = ("joint_angles", "torques", "commanded_torques", "base_frame")
 def simulated_scene(simulation: Simulation, source: RunSource | None = None) -> Scene:
     """Returns a scene that shows and advances a simulation.
 
-    If the run sets `show_paths`, rows of doubles show the paths of the targets.
+    If the run sets `show_paths`, a series of doubles shows the path of each target.
 
     Args:
-        source: source of the rows; None for one that ends with the run.
+        source: source of the log rows (default: a source that ends with the run).
     """
     scenario, columns = simulation.scenario, simulation.layout.columns
     scene = with_routes(scenario, columns, source or RunSource(run=simulation))
@@ -50,8 +50,8 @@ def replayed_scene(scenario: Scenario, file: Path) -> Scene:
     """Returns a scene that shows a recording of a scenario without simulating it.
 
     Args:
-        scenario: the recorded scenario; its controllers are not made.
-        file: a recording or a table. If a recording has no simulation, `replay_instead` reports it.
+        scenario: recorded scenario, whose controllers are not created.
+        file: recording or table. If a recording has no simulation, `replay_instead` reports it.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -71,14 +71,14 @@ def replayed_scene(scenario: Scenario, file: Path) -> Scene:
 
 
 def with_routes(scenario: Scenario, events: Collection[str], source: object) -> Scene:
-    """Returns the scene with a source, and routes from it.
+    """Returns the scenario's scene with a source, and routes from its events.
 
-    Robots get measured angles, measured and commanded torques, and external torques if an input has
-    that name. Targets get transparent doubles, pushes get arrows, and carried objects move. Routes
-    of the scenario's scene have priority.
+    Robots get measured angles, measured and commanded torques, and all signals with the name of an
+    input. Targets get transparent doubles, pushes get arrows, and carried objects move. Existing
+    routes of the scene take precedence.
 
     Args:
-        events: names of log events; in a recording they may be old names, see `recorded_event`.
+        events: names of log events. A recording may have old names (see `recorded_event`).
     """
 
     def is_there(event: str) -> bool:
@@ -108,7 +108,7 @@ def with_routes(scenario: Scenario, events: Collection[str], source: object) -> 
 def _show_pushes(
     scene: Scene, scenario: Scenario, is_there: Callable[[str], bool]
 ) -> dict[str, str]:
-    """Adds arrows for pushes and contacts; returns routes to them."""
+    """Adds arrows for pushes and contacts, and returns their routes."""
     routes = {}
     for name, disturbance in scenario.disturbances.items():
         if not isinstance(disturbance, Force) or not disturbance.show:
@@ -131,7 +131,7 @@ def _show_pushes(
 def _add_path(scene: Scene, name: str, angles: Array) -> None:
     if len(angles) == 0 or np.ptp(angles, axis=0).max() < 1e-6:
         return
-    # Evenly along the path, not in time, so that poses at rest are not repeated.
+    # The poses are evenly spaced along the path, not in time, so that poses at rest do not repeat.
     steps = np.abs(np.diff(angles, axis=0)).max(axis=1)
     way = np.hstack([0.0, np.cumsum(steps)])
     picked = np.unique(np.searchsorted(way, np.linspace(0.0, way[-1], 40)))

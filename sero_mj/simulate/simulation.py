@@ -19,32 +19,32 @@ from .runs.monitor import Finding
 from .runs.run_log import ACTUAL, DRIVEN, ESTIMATED, MEASURED, TARGETS, RunLog, event_of
 from .scenario import Scenario
 
-MAX_BYTES = 2 * 2**30  # of a log
+MAX_BYTES = 2 * 2**30  # maximum size of a log
 
 
 class Simulation(BatchRun):
-    """Simulates a scenario.
+    """One run of a scenario, which is simulated step by step.
 
     Args:
-        seed: seed of the sensor noise; None uses the scenario's seed.
-        compiler: cache of compiled models, to share between simulations; None makes a new one.
+        seed: seed of the sensor noise (default: the scenario's seed).
+        compiler: cache of compiled models that simulations can share (default: a new cache).
         by_hand: whether robots can be dragged during the simulation.
         is_live: whether targets and controllers can be changed during the simulation; see
             `LiveControl`.
-        batch: batch and row to simulate in, see `together`; None makes a batch of one.
+        batch: batch and row index of the run; set by `together`.
 
     Attributes:
-        robots: robots as simulated, by name; joints are elastic if the run requests it.
-        rows: the log, shape (steps + 1, width). Rows after `step` contain only targets.
+        robots: simulated robots by name, with elastic joints if the run requests them.
+        rows: rows of the log, shape (steps + 1, width). Rows after `step` contain only values that
+            are known in advance, such as targets.
         times: times of the rows, shape (steps + 1,), s.
         step: number of completed steps.
-        error: the error that ended this run of a batch, see `together`; otherwise None.
-        drag_force: applies drag forces to links; None unless `by_hand`.
-        live: changes targets and controllers; None unless `is_live`.
+        error: error that ended this run of a batch, or None; see `together`.
+        drag_force: object that applies drag forces to links; None unless `by_hand`.
+        live: object that changes targets and controllers; None unless `is_live`.
 
     Raises:
-        DeclarationError: unstable gains, unreachable targets or limits of zero, which are only
-            detected when models are compiled and targets are computed.
+        DeclarationError: gains are unstable, targets are unreachable or limits are zero.
     """
 
     def __init__(
@@ -74,15 +74,15 @@ class Simulation(BatchRun):
     def together(
         cls, scenarios: Sequence[Scenario], compiler: Compiler | None = None
     ) -> list[Simulation | DeclarationError]:
-        """Returns simulations that advance together: `advance` of one advances all.
+        """Returns simulations that advance together when one of them advances.
 
-        If one fails, its `error` is set and the others continue.
+        If a simulation fails, its `error` is set and the others continue.
 
         Args:
             scenarios: scenarios with the same `batch_key`.
 
         Returns:
-            one simulation per scenario, or the error that prevents it.
+            for each scenario, its simulation or the error that prevents it.
         """
         seeds = [each.run.seed for each in scenarios]
         batch = RunBatch(scenarios, seeds, compiler or Compiler(), raises=False)
@@ -100,13 +100,14 @@ class Simulation(BatchRun):
         self,
     ) -> tuple[Callable[..., Simulation], tuple[Scenario, Array, int, bool, bool]]:
         seed, by_hand = self.plant.sensors.seed, self.drag_force is not None
-        return _begun_again, (self.scenario, self._start, seed, by_hand, self.live is not None)
+        return _restarted, (self.scenario, self._start, seed, by_hand, self.live is not None)
 
     def restart(self, joint_angles: Array, seed: int) -> None:
-        """Restarts with other joint angles and noise. Payloads and frictions stay as they are.
+        """Restarts the run at rest. Attached payloads and changed friction remain.
 
         Args:
-            joint_angles: joint angles of all robots, shape (n,), rad or m.
+            joint_angles: initial joint angles of all robots, shape (n,), rad or m.
+            seed: seed of the sensor noise.
         """
         self._batch.restart(joint_angles, seed)
         self.plan(joint_angles)
@@ -118,7 +119,7 @@ class Simulation(BatchRun):
 
     @property
     def structure(self) -> Structure:
-        """Structure of a log row as a packet."""
+        """Packet structure that describes a row of the log."""
         return self.layout.structure
 
     @property
@@ -136,10 +137,10 @@ class Simulation(BatchRun):
         return self.step >= self.steps
 
     def run(self, chunk: int = 1000) -> Iterator[tuple[int, int]]:
-        """Runs to the end and yields the range of new rows after every `chunk` steps.
+        """Runs to the end, and yields the half-open range of new rows after every `chunk` steps.
 
         Raises:
-            SimulationError: the run cannot continue. Earlier rows are in the log.
+            SimulationError: the run cannot continue. The log contains the earlier rows.
         """
         first = 0 if self.step == 0 else self.step + 1
         watch = RealTimeWatch(self.scenario.name)
@@ -163,14 +164,14 @@ class Simulation(BatchRun):
     def advance(self, to_step: int) -> None:
         """Simulates up to a step.
 
-        Each step applies, in this order: due disturbances and faults; each robot's controller and
-        its torque limits; faulty drive gains, joint torque control and motor limits; the plant with
-        pushes, physics and sensors, once or several times; the log. The external torques are
-        estimated for several steps at once.
+        Each step starts due disturbances and faults, computes the controllers' limited torques,
+        applies faulty drive gains, joint torque control and motor limits, steps the plant once or
+        several times, and writes a log row. External torques are estimated for several steps at
+        once.
 
         Raises:
-            SimulationError: the run cannot continue, and the log ends with the previous step; or a
-                joint exceeds `run.runaway_speed`, and the log ends with this step.
+            SimulationError: the run cannot continue (the log ends with the previous step), or a
+                joint exceeds `run.runaway_speed` (the log ends with this step).
         """
         try:
             self._batch.advance(min(to_step, self.steps))
@@ -204,12 +205,12 @@ class Simulation(BatchRun):
 
     @property
     def log(self) -> RunLog:
-        """The log up to now. Its signals are views."""
+        """Log of the run up to the current step. Its signals are views of `rows`."""
         rows = self.rows[: self.step + 1]
         return RunLog.from_rows(self.layout, rows, self.robots, name=self.scenario.name)
 
     def findings(self) -> list[Finding]:
-        """Returns the faults that the monitor detects in the log up to now."""
+        """Returns the faults that the monitor detects in the current log."""
         return self.scenario.monitor.find(self.log)
 
     def outcomes(self) -> list[Outcome]:
@@ -221,7 +222,7 @@ class Simulation(BatchRun):
         ]
 
 
-def _begun_again(
+def _restarted(
     scenario: Scenario, start: Array, seed: int, by_hand: bool, is_live: bool
 ) -> Simulation:
     simulation = Simulation(scenario, seed, by_hand=by_hand, is_live=is_live)

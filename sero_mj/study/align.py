@@ -16,8 +16,8 @@ from ..simulate.runs.run_log import RunLog, compared_signal
 
 log = logging.getLogger(__name__)
 
-_MIN_OVERLAP = 0.3  # share of the shorter motion
-_MIN_SPEED = 1e-4  # rad/s or m/s, root mean square
+_MIN_OVERLAP = 0.3  # minimum overlap as a share of the shorter motion
+_MIN_SPEED = 1e-4  # minimum root mean square velocity, rad/s or m/s
 _MAX_ROWS = 2**21
 # Penalty in correlation for shorter overlaps. A periodic motion matches at every period; the shift
 # with the longest overlap is selected.
@@ -40,9 +40,9 @@ class Shift:
 def find_shift(times_a: Array, angles_a: Array, times_b: Array, angles_b: Array) -> Shift | None:
     """Estimates the time shift of motion `b` from the velocities of all joints.
 
-    The shift maximizes the normalized cross-correlation over overlaps of at least 30 % of the
-    shorter motion, refined by a parabola through the highest three values. Times have the shape
-    (T,), angles (T, n). Returns None if the robot hardly moves in a run.
+    The shift maximizes the normalized cross-correlation among overlaps of at least 30 % of the
+    shorter motion. It is refined by a parabola through the highest three values. Times have the
+    shape (T,), angles have the shape (T, n). Returns None if the robot hardly moves in a run.
     """
     spans = times_a[-1] - times_a[0], times_b[-1] - times_b[0]
     if min(spans) <= 0.0:
@@ -104,10 +104,10 @@ def _rms(velocities: Array) -> float:
     return float(np.sqrt(np.mean(velocities**2)))
 
 
-# The compared signals, if both runs have them.
+# Signals that are compared if both runs have them.
 COMPARED = ("joint_angles", "joint_velocities", "torques", "commanded_torques")
 # Gaps that exceed both limits are not interpolated.
-_GAP, _GAP_ROWS = 0.1, 5  # s, packets
+_GAP, _GAP_ROWS = 0.1, 5  # limits in s and in packets
 _MIN_CORRELATION = 0.5  # minimum for a meaningful offset
 
 
@@ -134,7 +134,7 @@ class Pair:
     names: tuple[str, str]
 
     def difference(self, signal: str) -> Array:
-        """Returns the first run minus the second, shape (T, n)."""
+        """Returns the values of the first run minus those of the second, shape (T, n)."""
         return np.asarray(self.a[signal] - self.b[signal])
 
     @property
@@ -244,8 +244,8 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
     `name` is `NAME`, `NAME,NAME`, or None for the only common robot.
 
     Raises:
-        UsageError: there is no such robot, the only common robot is
-            ambiguous, or the numbers of joints differ.
+        UsageError: there is no such robot, the choice of the robot is ambiguous, or the numbers of
+            joints differ.
     """
     if name is not None:
         in_a, _, in_b = name.partition(",")
@@ -294,7 +294,10 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
 
 
 def at_times(times: Array, values: Array, wanted: Array) -> Array:
-    """Interpolates values (T, n) linearly at increasing times; NaN in gaps and outside `times`."""
+    """Interpolates values, shape (T, n), linearly from increasing `times` to the times `wanted`.
+
+    Returns NaN in gaps and outside `times`.
+    """
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
     right = np.clip(np.searchsorted(times, wanted), 1, len(times) - 1)

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
 
-_MAX_RATE = 240.0  # rows per second; above the frame rate of videos
+_MAX_RATE = 240.0  # maximum rows per second, above the frame rate of videos
 _GREEN = np.array([0.10, 0.62, 0.30, 0.42])
 # For robots with more joints, tables show only the joints that differ most; files contain all.
 MANY_JOINTS, MAX_SHOWN = 24, 12
@@ -35,14 +35,14 @@ _IN_TABLE = ("joint_angles", "torques")  # the JSON contains all signals
 
 @dataclass(frozen=True)
 class Difference:
-    """The difference between two runs in one signal of one joint: first run minus second run.
+    """The difference between two runs (first minus second) in one signal of one joint.
 
     Attributes:
-        signal: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
-        unit: rad, m, rad/s, m/s, Nm or N.
+        signal: name: `joint_angles`, `joint_velocities`, `torques` or `commanded_torques`.
+        unit: unit of the signal: rad, m, rad/s, m/s, Nm or N.
         peak: signed difference of the largest magnitude; NaN if unknown.
         at: time of the peak, s.
-        rms: root mean square over time.
+        rms: root mean square of the difference over time.
     """
 
     joint: str
@@ -69,7 +69,7 @@ class Exceeded:
 
 
 def compare(pair: Pair) -> list[Difference]:
-    """Returns the differences of all common signals, joint by joint."""
+    """Returns the difference of each joint in each signal that both runs have."""
     found = []
     for signal in pair.signals:
         difference = pair.difference(signal)
@@ -89,7 +89,7 @@ def unit_of(signal: str, joint_type: str) -> str:
 
 
 def one_unit(units: Iterable[str]) -> str:
-    """Returns the common unit, or an empty string if units differ."""
+    """Returns the unit if all units are equal, otherwise an empty string."""
     first, *others = dict.fromkeys(units)
     return "" if others else first
 
@@ -163,7 +163,7 @@ def as_json(
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
-    """Returns a table for the terminal, with angles in degrees."""
+    """Returns a table of the differences for the terminal, with angles in degrees."""
     from rich import box
     from rich.table import Table
 
@@ -219,6 +219,9 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
             if joint in each.joints:
                 confidence = f"{100.0 * each.confidence:.0f} %"
                 text = f"{each.short}, see above" if each in listed else each.text
+                if each.alternatives and each not in listed:
+                    how = "most similar to" if each.kind == "unexplained" else "or"
+                    text += f"\n{how} {', or '.join(each.alternatives)}"
                 table.add_row(name, text, each.when, confidence)
                 name = ""
                 listed.append(each)
@@ -231,7 +234,7 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
 
 
 def shown_as(unit: str) -> tuple[float, str]:
-    """Returns the factor and the unit (degrees or mm for positions) for display."""
+    """Returns the factor from an SI unit to the displayed unit (degrees or mm), and this unit."""
     if unit.startswith("rad"):
         return float(np.rad2deg(1.0)), unit.replace("rad", "deg")
     if unit.startswith("m"):
@@ -240,14 +243,14 @@ def shown_as(unit: str) -> tuple[float, str]:
 
 
 def shown_units(robot: SerialRobot, signal: str) -> Sequence[tuple[float, str]]:
-    """Returns each joint's factor and unit for display; torques are in the robot's unit."""
+    """Returns the factor from SI units to the displayed unit, and this unit, for each joint."""
     if signal.endswith("torques"):
         return robot.torque_units
     return [shown_as(unit_of(signal, kind)) for kind in robot.types]
 
 
 def write_csv(pair: Pair, path: Path | str) -> None:
-    """Writes the runs and the difference, with columns such as `time` and `torques_A1_diff`."""
+    """Writes both runs and their difference as a table with columns such as `torques_A1_diff`."""
     names, columns = ["time"], [pair.times]
     for signal in pair.signals:
         difference = pair.difference(signal)

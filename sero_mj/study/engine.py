@@ -26,7 +26,7 @@ from typing import Any, Protocol
 from ..base.child_process import end_all
 from ..base.errors import Problem, SeroError, UsageError
 
-Task = tuple[int, Mapping[str, Any]]  # number and values
+Task = tuple[int, Mapping[str, Any]]  # number of the task, and its values
 Result = tuple[int, dict[str, Any]]  # number of the task, and results by column
 
 _EFFICIENT_BATCH = 24  # tasks per batch above which the fixed cost of a step is negligible
@@ -34,17 +34,17 @@ KILLED = "the process was killed or ran out of memory"
 
 
 class Runner(Protocol):
-    """Runs tasks of a job in one process, and caches data that several tasks need."""
+    """A runner of tasks in one process, which caches data that several tasks need."""
 
     def run(self, tasks: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Returns the results of tasks; the column `error` describes a failure."""
+        """Runs tasks; returns their results by column. The column `error` describes a failure."""
 
 
 class Job(Protocol):
     """The definition of tasks. It is sent to other processes, so it contains only plain values."""
 
     def runner(self) -> Runner:
-        """Returns a runner; called in the process that runs the tasks."""
+        """Returns a runner. Called in the process that runs the tasks."""
 
     def check(self) -> None:
         """Raises SeroError if the job cannot run, for example because files are missing."""
@@ -56,7 +56,7 @@ class Job(Protocol):
         """Returns the additional files that the task with these values reads."""
 
     def below(self, root: Path) -> Job:
-        """Returns a job that reads copies of the files below a root folder."""
+        """Returns a job that reads copies of its files, which are below a root folder."""
 
     def killed(self) -> dict[str, Any]:
         """Returns the results of a task whose process was killed."""
@@ -70,7 +70,7 @@ class EachRecording:
         study: `module:name` of the function, which takes `shared` and the path of a recording, and
             returns results by column.
         shared: plain values that are passed to all tasks.
-        needed: files that are named in `shared`.
+        needed: files to which the values in `shared` refer.
     """
 
     study: str
@@ -116,7 +116,7 @@ class _RecordingRunner:
 
 @dataclass(frozen=True)
 class Work:
-    """Tasks of a job.
+    """A job and the tasks that an engine runs.
 
     Attributes:
         max_batch: maximum number of tasks in one batch, limited by memory.
@@ -137,7 +137,7 @@ class Work:
 
 
 class Engine(Protocol):
-    """Runs tasks on this machine or on other machines.
+    """An engine that runs tasks on this machine or on other machines.
 
     Attributes:
         workers: current number of workers.
@@ -162,7 +162,10 @@ def files_in(path: Path) -> list[Path]:
 
 
 def below(root: Path, value: Any) -> Any:
-    """Returns a value in which names of files that also exist below the root are redirected."""
+    """Returns a copy of a value in which absolute file names refer to copies below a root folder.
+
+    Names of files without a copy do not change.
+    """
     if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
         return f"{root}{value}"
     if isinstance(value, list | tuple):

@@ -30,14 +30,67 @@ Kind = Literal[
     "masses",
     "encoder",
     "stuck",
+    "tilt",
+    "link mass",
+    "link center",
+    "encoder scale",
+    "elasticity",
+    "backlash",
+    "spring",
+    "force",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+    "saturation",
+    "clock",
+    "gravity compensation",
+    "swap",
+    "order",
+    "scale",
     "unexplained",
 ]
-Part = Literal["torque sensor", "drive", "joint", "flange", "links", "encoder", "sensor or drive"]
-_SIGNED: tuple[Kind, ...] = ("bias", "friction", "payload", "masses", "encoder")
-FLANGE, LINKS = "flange", "links"
+Part = Literal[
+    "torque sensor",
+    "drive",
+    "joint",
+    "flange",
+    "link",
+    "links",
+    "base",
+    "commands",
+    "encoder",
+    "sensor or drive",
+    "angles",
+    "measured torques",
+    "commanded torques",
+    "torques",
+    "signals",
+]
+_SIGNED: tuple[Kind, ...] = (
+    "bias",
+    "friction",
+    "payload",
+    "masses",
+    "encoder",
+    "link mass",
+    "encoder scale",
+    "motor inertia",
+    "friction drift",
+    "load friction",
+)
+# Places of faults that do not concern a single joint.
+PLACES = FLANGE, LINKS, BASE, COMMANDS, ALL_JOINTS = (
+    "flange", "links", "base", "commands", "all joints",
+)  # fmt: skip
+# Recorded signals; `torques` are measured and commanded ones, `signals` are all of them.
+LOGGED: tuple[Part, ...] = (
+    "angles", "measured torques", "commanded torques", "torques", "signals",
+)  # fmt: skip
+# Factors of units that logs and routes confuse, with their names.
+_UNITS = ((180.0 / np.pi, "degrees instead of radians"), (1e3, "milli instead of SI units"))
 MAX_CONFIDENCE = 0.99
-# Faults that can be attributed to one of two runs. For the others, swapping the runs changes only
-# the sign of the size.
+# Faults that can be attributed to one of two runs. For other faults, exchanging the runs only
+# changes the sign of the size.
 OF_ONE_RUN: tuple[Kind, ...] = ("sign", "delay", "noise", "stuck")
 
 
@@ -46,22 +99,30 @@ class Explanation:
     """The explanation of a torque difference.
 
     Attributes:
-        joint: name of the joint; `flange` for a payload, `links` for the masses of all links.
-        part: faulty part of the robot, for example `torque sensor`.
-        size: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb friction (Nm), standard
-            deviation of noise (Nm), payload (kg), difference of the link masses (%), encoder offset
-            (deg or m), stuck torque (Nm), or unexplained peak (Nm).
+        joint: name of the joint, or one of `PLACES`.
+        kind: kind of the fault.
+        part: faulty part of the robot, for example `torque sensor`, or one of `LOGGED`.
+        size: size of the fault: gain (-1 for a wrong sign), bias (Nm or N), delay (s), Coulomb
+            friction (Nm) or its change during the run, friction as a share of the link torque (%),
+            standard deviation of noise (Nm), payload (kg), difference of the link masses (%), mass
+            (kg) or shift of the center (m) of one link, encoder offset (deg or m) or scale (%),
+            stuck torque (Nm), tilt of the base (deg), stiffness (Nm/rad), backlash (deg or m),
+            largest torque of a spring (Nm), force (N), motor inertia (kg m2), torque limit (Nm),
+            drift of a clock (s/s), missing gravity compensation (%), unexplained peak (Nm), factor
+            of a logged signal, or number of columns by which the order is shifted.
         unit: unit of the size; empty for a gain.
         error: standard error of the size; NaN if unknown.
         confidence: probability from 0 to 1.
         begin: start time of the fault, s.
         end: end time of the fault, s; None for the end of the run.
         from_start: whether the fault exists from the start.
-        values: further values: `viscous` friction, and the coordinates `x`, `y`, `z` of a payload's
-            center of mass, m.
+        values: further values: `viscous` friction; `x`, `y`, `z` of a payload's center of mass (m),
+            of the shift of a link's center (m), of a force (N), or of the direction of gravity;
+            `offset` of a clock (s).
         joints: joints at which the fault is visible.
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
+        alternatives: other causes that the motion does not distinguish from this one.
     """
 
     joint: str
@@ -78,6 +139,7 @@ class Explanation:
     joints: tuple[str, ...] = ()
     is_difference: bool = False
     is_second: bool = False
+    alternatives: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -87,9 +149,11 @@ class Explanation:
         """The kind, size and location of the fault, as text."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
         rate = f"{unit} s/{'rad' if unit == 'Nm' else 'm'}"
-        center = ", ".join(
+        vector = ", ".join(
             f"{round(self.values[axis], 3) + 0.0:.3f}" for axis in "xyz" if axis in self.values
         )
+        about = f"{size:.3g}{_about(error)} {unit}"
+        change = f"{size:+.3g}{_about(error)} {unit}"
         stuck = f"no motion at up to {abs(size):.3g} {unit}"
         if part == "torque sensor":
             stuck = f"constant {size:.4g} {unit} of the {part}"
@@ -104,19 +168,58 @@ class Explanation:
             "friction": f"{size:+.3g}{_about(error)} {unit}, "
             f"{self.values.get('viscous', 0.0):+.2g} {rate}",
             "noise": f"{size:.2g} {unit} of the {part}",
-            "payload": f"{size:+.3g}{_about(error)} kg at ({center}) m in the flange frame",
+            "payload": f"{size:+.3g}{_about(error)} kg at ({vector}) m in the flange frame",
             "encoder": f"offset {size:+.3g}{_about(error)} {unit}",
+            "encoder scale": f"{change} of the motion",
             "masses": f"{size:+.1f}{_about(error)} % relative to the declared masses",
             "stuck": stuck,
+            "tilt": f"base tilted by {about}, gravity along ({vector})",
+            "link mass": f"{change} of the {self._moved}",
+            "link center": f"center of mass of the {self._moved} shifted by ({vector}) m",
+            "elasticity": f"stiffness of {about} between encoder and link",
+            "backlash": f"{about} between encoder and link",
+            "spring": f"torque of up to {abs(size):.3g} {unit} that depends on the angle",
+            "force": f"constant {about} at the {self._moved}, ({vector}) N in the world frame",
+            "motor inertia": change,
+            "friction drift": f"{change} from start to end, "
+            f"{self.values.get('viscous', 0.0):+.2g} {rate}",
+            "load friction": f"{change} of the link torque",
+            "saturation": f"drive limited to {about}",
+            "clock": f"commands late by {1e3 * self.values.get('offset', 0.0):.1f} ms, plus "
+            f"{1e3 * size:.2g}{_about(1e3 * error)} ms per second",
+            "gravity compensation": f"drives lack {about} of the gravity torques",
             "unexplained": f"up to {abs(size):.3g} {unit}, {unknown}",
         }
-        return f"{self.kind}: {texts[self.kind]}{', in B' if self.is_second else ''}"
+        is_of_log = part in LOGGED and self.kind != "delay"
+        text = self._of_log if is_of_log else texts[self.kind]
+        return f"{self.kind}: {text}{', in B' if self.is_second else ''}"
+
+    @property
+    def _of_log(self) -> str:
+        # What is wrong with the recorded columns.
+        count = len(self.joints)
+        names = ", ".join(self.joints[:-1]) + " and " * (count > 1) + self.joints[-1]
+        place = "in the log of all joints" if self.joint == ALL_JOINTS else f"in the log of {names}"
+        if self.kind == "sign":
+            return f"wrong sign of the {self.part} {place}"
+        if self.kind == "swap":
+            return f"the {self.part} of {names} are exchanged in the log"
+        if self.kind == "order":
+            column = self.joints[round(self.size)]
+            return f"the {self.part} of {self.joints[0]} are in the column of {column}, and so on"
+        named = [name for factor, name in _UNITS if abs(self.size / factor - 1.0) < 0.01]
+        unit = f" ({named[0]})" if named else ""
+        return f"{self.part} {self.size:.4g} times too large {place}{unit}"
+
+    @property
+    def _moved(self) -> str:
+        return FLANGE if self.part == FLANGE else f"link moved by {self.joint}"
 
     @property
     def short(self) -> str:
         """The kind and size of the fault, as text for figures."""
         of_second = " in B" if self.is_second else ""
-        if self.kind in ("sign", "stuck", "unexplained"):
+        if self.kind in ("sign", "stuck", "swap", "order", "unexplained"):
             return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
         is_signed = self.kind in _SIGNED or self.is_difference
@@ -135,13 +238,16 @@ def _about(error: float) -> str:
 
 
 class Explainer(ABC):
-    """Explains differences of torques. It is created without arguments."""
+    """An object, created without arguments, that finds the causes of torque differences."""
 
     @abstractmethod
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> list[Explanation]:
-        """Explains the torques of A minus those of B.
+        """Explains the torques of run `a` minus the torques of run `b`.
+
+        `robots` contains the names of the robot in `a` and `b`. `offset` (s) is added to the times
+        of `b`.
 
         Raises:
             UsageError: the runs cannot be analyzed.
@@ -149,7 +255,7 @@ class Explainer(ABC):
 
     @abstractmethod
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
-        """Explains commanded minus measured torques.
+        """Explains the commanded minus the measured torques of a robot.
 
         Returns the explanations, and lines about the method.
         """

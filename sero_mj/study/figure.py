@@ -30,12 +30,12 @@ ORANGE, BLUE = "#E8720C", "#0B5CC2"
 INK, GREY, FAINT = "#23282E", "#6B737C", "#D9DDE1"
 FAULT = "#8E3B8A"
 
-A4_WIDTH = 190.0  # mm, within its margins
+A4_WIDTH = 190.0  # width of A4 within its margins, mm
 _A4_HEIGHT = 265.0
-_ROW, _MIN_ROW = 27.0, 14.0  # mm
-_HEAD, _FOOT = 12.0, 20.0  # mm: title and legend; headings and time axis
-_NAMES = 27.0  # mm, left of the panels
-_MAX_NAME = 9  # characters; longer names have smaller letters
+_ROW, _MIN_ROW = 27.0, 14.0  # normal and minimum height of a row, mm
+_HEAD, _FOOT = 12.0, 20.0  # heights of title and legend, and of headings and time axis, mm
+_NAMES = 27.0  # width of the names to the left of the panels, mm
+_MAX_NAME = 9  # maximum number of characters; longer names have smaller letters
 _TITLE_PAD, _LINE = 10.5, 6.5  # points; names of spans are below the title
 _MM = 1.0 / 25.4  # inch
 _MIN_MM = 60.0, 40.0
@@ -79,7 +79,7 @@ _STYLE: Any = {
 
 @dataclass(frozen=True)
 class Span:
-    """An event of a run, drawn as a band. If `end` is None, the event lasts until the end."""
+    """An event of a run that figures show as a band. An `end` of None is the end of the run."""
 
     name: str
     begin: float
@@ -114,7 +114,7 @@ def styled() -> Iterator[None]:
 
 
 def drawn_name(name: str, number: int) -> str:
-    """Returns the name of a joint, or for example `joint 3` if no font has the characters."""
+    """Returns a joint name, or a text such as `joint 3` if no font has the characters."""
     from ..viewer.decor.font import drawable
 
     return name if drawable(name) else f"joint {number + 1}"
@@ -138,8 +138,9 @@ class Figure:
     """A figure with rows and columns of panels that share the time axis. Use it within `styled`.
 
     Args:
-        rows: name and second line of text to the left of each row.
-        columns: title of each column, and the column's share of the width.
+        rows: first and second line of the label to the left of each row.
+        columns: title and relative width of each column.
+        times: start and end of the time axis, s.
         size_mm: width and height, mm; None for the width of A4 and a height that fits the rows.
 
     Raises:
@@ -160,11 +161,11 @@ class Figure:
 
         row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / len(rows), _MIN_ROW, _ROW))
         width, height = size_mm or (A4_WIDTH, _HEAD + _FOOT + row * len(rows))
-        for value, least, most, what in (
+        for value, low, high, what in (
             (width, _MIN_MM[0], _MAX_MM[0], "wide"), (height, _MIN_MM[1], _MAX_MM[1], "high"),
         ):  # fmt: skip
-            if not least <= value <= most:
-                of, expected = f"mm {what}", f"{least:g} mm to {most:g} mm"
+            if not low <= value <= high:
+                of, expected = f"mm {what}", f"{low:g} mm to {high:g} mm"
                 raise UsageError(Problem("size_mm", found=value, of=of, expected=expected))
         self.figure = matplotlib_figure.Figure(
             figsize=(width * _MM, height * _MM), dpi=_DPI, facecolor="white", layout="constrained"
@@ -198,11 +199,11 @@ class Figure:
                        color=GREY, linespacing=1.25)  # fmt: skip
 
     def line(self, panel: Axes, times: Array, values: Array, label: str, **look: Any) -> None:
-        """Draws values (T,) over time; for many rows, draws the envelope."""
+        """Draws a curve of values, shape (T,), over time; draws the envelope of many values."""
         panel.plot(*envelope(times, values, _POINTS), label=label, **look)
 
     def signed_area(self, panel: Axes, times: Array, values: Array) -> None:
-        """Draws a difference (T,), orange above zero and blue below, like the arrows."""
+        """Draws a difference, shape (T,), as an area: orange above zero and blue below."""
         at, shown = envelope(times, values, _POINTS)
         for colour, side in ((ORANGE, np.maximum(shown, 0.0)), (BLUE, np.minimum(shown, 0.0))):
             panel.fill_between(at, side, 0.0, color=colour, alpha=0.45, linewidth=0.0)
@@ -219,10 +220,10 @@ class Figure:
         floor: float,
         also: Sequence[float] = (),
     ) -> bool:
-        """Fits the range of a panel to the curves and to the values `also`.
+        """Sets the vertical range of a panel so that it contains the curves and the values `also`.
 
-        The minimum range is `least`, or `floor` if `least` is infinite. Returns False if there are
-        no data.
+        The size of the range is at least `least`, or `floor` if `least` is infinite. Returns False
+        if there are no data.
         """
         known = [curve[np.isfinite(curve)] for curve in curves]
         known = [curve for curve in known if len(curve)]
@@ -239,7 +240,7 @@ class Figure:
         return True
 
     def note(self, panel: Axes, text: str) -> None:
-        """Writes a small text into the upper right corner of a panel."""
+        """Writes a small text above the upper right corner of a panel."""
         panel.text(1.0, 1.02, text, transform=panel.transAxes, ha="right", va="bottom",
                    fontsize=5.5, color=GREY)  # fmt: skip
 
@@ -280,7 +281,7 @@ class Figure:
             self.figure.set_layout_engine(None)
 
     def legend(self, handles: Sequence[Any]) -> None:
-        """Draws the legend into the upper right corner."""
+        """Draws the legend in the upper right corner of the figure."""
         self._head.legend(
             handles=list(handles), loc="upper right", ncols=min(len(handles), 4), frameon=False,
             borderpad=0.2, borderaxespad=0.2, handlelength=1.8, columnspacing=1.2, fontsize=6.5,
@@ -288,11 +289,11 @@ class Figure:
 
 
 def save_figures(figures: Sequence[Figure], path: Path) -> None:
-    """Writes one figure, or several as pages of a .pdf. Use it within `styled`.
+    """Writes one figure, or several figures as pages of a .pdf file. Use it within `styled`.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: several figures are written to a file that is not a .pdf.
+        UsageError: there are several figures, and the file is not a .pdf.
     """
     from matplotlib.backends.backend_pdf import PdfPages
 

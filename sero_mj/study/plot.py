@@ -39,8 +39,8 @@ if TYPE_CHECKING:
 
 
 _LIMIT_SHARE = 0.6  # share of the limit above which a panel also shows the limit
-_MIN_TORQUE = 0.2  # Nm, or the robot's unit; minimum range of a panel without a limit
-_MIN_ANGLE = 0.02  # deg or mm; minimum range
+_MIN_TORQUE = 0.2  # minimum range of a panel without a limit, Nm or the torque unit of the robot
+_MIN_ANGLE = 0.02  # minimum range of a panel, deg or mm
 _MARKERS = {
     "torque_error": "v",
     "external_torque": "D",
@@ -50,7 +50,7 @@ _MARKERS = {
     "velocity_limit": ">",
     "position_limit": "<",
 }
-_MAX_ROWS = 12  # maximum per page, unless joints or a size are requested
+_MAX_ROWS = 12  # maximum number of joints per page, unless joints or a size are requested
 # Marks closer than this share of the time are stacked in up to this number of levels.
 _CLOSE, _LEVELS = 0.1, 5
 _Joint = tuple[str, int]  # robot, index of the joint
@@ -75,17 +75,17 @@ def plot_run(
         logs: a run with `torques`, `commanded_torques` or both, or several runs, which become pages
             of a .pdf. A .pdf shows 12 joints per page. Other formats show the 12 joints with the
             largest torques relative to their limits.
-        path: .png (300 dpi), .pdf or .svg file.
+        path: output file: .png (300 dpi), .pdf or .svg.
         robots: names of the robots; None for all robots.
         joints: names of the joints of these robots; None for all joints.
         findings: findings of the monitor, which are marked at the joints.
-        spans: events to draw as bands, see `spans_of`.
-        size_mm: width and height; None for the width of A4.
+        spans: events to draw as bands, such as those from `spans_of`.
+        size_mm: width and height of the figure, mm; None for the width of A4.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: there is no such robot, joint or torque, the suffix is wrong, or several runs
-            are written to a file that is not a .pdf.
+        UsageError: a robot, joint or signal does not exist, the suffix is wrong, or there are
+            several runs and the file is not a .pdf.
     """
     path = check_suffix(path)
     with styled():
@@ -174,7 +174,7 @@ def _draw_run(
 
 
 def spans_of(scenario: Scenario) -> list[Span]:
-    """Returns the disturbances and faults of a scenario as spans of time."""
+    """Returns the disturbances and faults of a scenario as bands for figures."""
     spans = [Span(name, each.begin, each.end) for name, each in scenario.disturbances.items()]
     spans += [Span(name, each.begin, each.end, True) for name, each in scenario.faults.items()]
     return spans
@@ -187,7 +187,7 @@ def _choose(
         if name not in log.robots:
             where, known = f"in {log.name}", log.robots
             raise UsageError(Problem("", "no robot", found=name, of=where, available=known))
-    if robots is None:  # all with torques
+    if robots is None:  # all robots with torques
         signals = ("torques", "commanded_torques")
         robots = [robot for robot in log.robots if any(log.has(robot, each) for each in signals)]
     wanted = list(robots) or list(log.robots)
@@ -345,15 +345,15 @@ def plot_pair(
 
     Args:
         pair: the aligned runs.
-        path: .png (300 dpi), .pdf or .svg file.
+        path: output file: .png (300 dpi), .pdf or .svg.
         joints: names of the joints; None for all joints, or for the joints that differ most if the
             robot has many joints.
         explanations: explanations of the differences, which are marked at the start times.
-        size_mm: width and height; None for the width of A4.
+        size_mm: width and height of the figure, mm; None for the width of A4.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: there is no such joint, or the suffix is wrong.
+        UsageError: a joint does not exist, or the suffix is wrong.
     """
     path = check_suffix(path)
     names = pair.robot.names

@@ -29,7 +29,7 @@ from .plot import plot_run, spans_of
 log = logging.getLogger(__name__)
 
 PAGE, FIGURE, JSON, JUNIT = "index.html", "torques.png", "report.json", "junit.xml"
-_MAX_FINDINGS = 200  # on a timeline
+_MAX_FINDINGS = 200  # maximum number of findings on a timeline
 
 
 def write_report(
@@ -106,7 +106,7 @@ def _printable(text: str) -> str:
 
 
 def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
-    """Returns the marks of a simulated scene or of recordings; `begin` (s) becomes time 0."""
+    """Returns timeline marks for a simulated scene or for recordings, relative to `begin` (s)."""
     marks: list[Mark] = []
     for source in scene.sources.values():
         if isinstance(source, RunSource) and isinstance(source.run, Simulation):
@@ -117,7 +117,7 @@ def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:
 
 
 def marks_of_run(simulation: Simulation, begin: float = 0.0) -> list[Mark]:
-    """Returns the disturbances, faults, findings and expectations of a run as marks."""
+    """Returns timeline marks for the disturbances, faults, findings and expectations of a run."""
     scenario = simulation.scenario
     marks = [
         _mark(span.begin, span.end, span.name, "fault" if span.is_fault else "push")

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.monitor import Finding
 
 
-_ZERO = 5e-4  # in the unit of the table
+_ZERO = 5e-4  # limit below which numbers are printed as 0, in the unit of the table
 _USED = ("torques", "commanded_torques", "target_angles", "saturated", "actual_angles")
 
 
@@ -63,7 +63,7 @@ class JointSummary:
 
 
 def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummary]:
-    """Returns one row for each joint of each robot in a run; signals may be missing."""
+    """Returns a summary of each joint of each robot in a run; signals may be missing."""
     found = sorted(findings, key=lambda finding: finding.time)
     rows = []
     for robot, declared in log.robots.items():
@@ -100,14 +100,15 @@ def summarise(log: RunLog, findings: Iterable[Finding] = ()) -> list[JointSummar
 
 
 def as_json(rows: Sequence[JointSummary]) -> list[dict[str, Any]]:
-    """Returns the rows as JSON types in SI units."""
+    """Returns the summaries as JSON types, in SI units."""
     return [asdict(row) for row in rows]
 
 
 def as_table(rows: Sequence[JointSummary], title: str = "") -> Table:
-    """Returns a table for the terminal, with angles in degrees and without empty columns.
+    """Returns a table of summaries for the terminal, with angles in degrees.
 
-    For a robot with many joints, shows the joints with the largest shares of their limits.
+    Empty columns are omitted. For a robot with many joints, only the joints with the largest shares
+    of their limits are shown.
     """
     from rich import box
     from rich.table import Table

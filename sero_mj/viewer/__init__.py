@@ -1,4 +1,4 @@
-"""Geoms to pixels, clicks to switches: folders in the order in which they import one another.
+"""Rendering and user interfaces: images, videos, windows and web pages of robots.
 
 In: a mirror, or the user's own model and data. Out: images and videos (`image/`), a window
 (`window/`), a web page (`web/`).

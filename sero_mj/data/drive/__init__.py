@@ -1,4 +1,4 @@
-"""Writes received values to `MjData`, every frame: from routes to poses.
+"""Writes received values to `MjData` in every frame, according to the routes of a scene.
 
 In: packets of sources and the scene's routes. Out: joint angles, frames and `userdata`, including
 the poses of followers and doubles.

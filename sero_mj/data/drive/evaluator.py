@@ -1,7 +1,7 @@
 """Computes expressions and conditions of routes and triggers over time.
 
-Arrays are (T, ...), with a row for each packet, or one row for constants. To check and compile a
-route, the same evaluator computes one row of `Number` objects.
+Arrays have the shape (T, ...), with one row per packet, or a single row for constants. To check and
+compile a route, the same evaluator computes one row of `Number` objects.
 
 - Indices apply to the first axis: `udp.vectors0[0]` is the first vector, `[0][2]` its z.
 - Operands have the same shape or are broadcast as in NumPy.
@@ -38,9 +38,10 @@ _QUANTIFIERS = ("any", "all")
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Numbers or truth values over time, (T, ...).
+    """Numbers or truth values over time, with one row per packet.
 
     Attributes:
+        values: array, shape (T, ...).
         labels: names of the numbers in a row, for reports.
         is_frames: whether the numbers are frames of a route, which cannot be combined.
     """
@@ -52,7 +53,7 @@ class Rows:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """An evaluated comparison of `left` and `right` by `sign`, for reports; arrays are (T, ...)."""
+    """The result of a comparison such as `left > right`, for reports, with one row per packet."""
 
     text: str
     sign: str
@@ -62,12 +63,12 @@ class Compared:
     labels: Sequence[str]
 
 
-# Function from a node to its numbers, or to None if the evaluator must compute them.
+# A function that returns the numbers of a node, or None if the evaluator must compute them.
 Leaf = Callable[[ast.expr], Rows | None]
 
 
 class Evaluator:
-    """Computes the nodes of an expression."""
+    """An evaluator of an expression; `leaf` returns the numbers of names and constants."""
 
     def __init__(self, expression: Expression, leaf: Leaf, *, is_route: bool = False) -> None:
         self._expression, self._leaf, self._is_route = expression, leaf, is_route
@@ -95,7 +96,7 @@ class Evaluator:
     def numbers(self, node: ast.expr) -> Rows:
         """Returns the numbers of a node; raises RouteError for truth values."""
         chain: list[ast.BinOp | ast.UnaryOp | ast.Subscript] = []
-        while (found := self._leaf(node)) is None:  # not recursive: the tree of a sum is deep
+        while (found := self._leaf(node)) is None:  # a loop, because the tree of a sum is deep
             match node:
                 case ast.UnaryOp(op=ast.Not()):
                     break
@@ -147,8 +148,8 @@ class Evaluator:
                 function = np.linalg.norm if name == "norm" else getattr(np, name)
                 return Rows(function(_flat(found.values), axis=1))
             case ast.Call(args=[_, other, *_]):
-                self._refuse(other, "expected one argument of the function")
-        self._refuse(node, "expected numbers; use and, or to combine comparisons")
+                self._refuse(other, "expected a function with one argument")
+        self._refuse(node, "expected numbers; combine comparisons with 'and' or 'or'")
 
     def _calculate(self, node: ast.BinOp, left: Rows, right: Rows) -> Rows:
         at = self._expression.operator_after(node.left)
@@ -274,7 +275,7 @@ def evaluate(expression: Expression, names: Mapping[str, Value]) -> Value:
 def condition_of(expression: Expression, names: Mapping[str, Value]) -> tuple[Value, Condition]:
     """Returns the numbers that a condition compares, and the condition; raises RouteError."""
     of_route = _of_route(expression, names)
-    parts: dict[int, tuple[Value, slice]] = {}  # id of a node to its value and numbers
+    parts: dict[int, tuple[Value, slice]] = {}  # value of a node and range of its numbers, by id
 
     def find(node: ast.expr) -> Rows | None:
         # Collects the largest nodes that are linear in received numbers, and therefore have units.
@@ -345,7 +346,7 @@ def _finite(value: Value, expression: Expression, names: Mapping[str, Value]) ->
 
 
 def amount(shape: tuple[int, ...]) -> str:
-    """Returns the size of an array in words."""
+    """Returns the size of an array as text, such as `7 values`."""
     if len(shape) > 1:
         return " x ".join(map(str, shape)) + " values"
     count = int(np.prod(shape))

@@ -1,6 +1,6 @@
 """Routes to some joints of a robot, by the names of joints and limbs.
 
-Each such origin is a `JointPart`; those to one input are merged to one route, `whole_route`.
+Each such origin is a `JointPart`. `whole_route` merges the parts of an input into one route.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from .route import Route
 from .units import robot_of, units_of, wrong_unit
 from .values import Value, joined
 
-_MAX_LISTED = 8  # joints in a message
+_MAX_LISTED = 8  # maximum number of joints in a message
 
 
 class Place(NamedTuple):
@@ -36,8 +36,8 @@ class JointPart:
     """An origin for k joints of an input.
 
     Attributes:
-        value: values of the joints, (k,).
-        numbers: index of each value in the numbers of `text`, k.
+        value: values of the joints, shape (k,).
+        numbers: index of each of the k values in the numbers of the expression `text`.
     """
 
     to: Input
@@ -50,9 +50,9 @@ class JointPart:
 def places_by_name(
     scene: Scene, inputs: Sequence[Input], *, in_group: bool
 ) -> dict[str, list[Place]]:
-    """Returns the joints of inputs by names of joints and limbs.
+    """Returns a mapping from the names of joints and limbs to joints of inputs.
 
-    In a group, these are `ROBOT_JOINT`, `ROBOT_LIMB` and `ROBOT`.
+    The names in a group are `ROBOT_JOINT`, `ROBOT_LIMB` and `ROBOT`.
     """
     places: dict[str, list[Place]] = {}
     for item in inputs:
@@ -96,7 +96,7 @@ def named_twice(scene: Scene, places: Sequence[Place]) -> list[Problem]:
 def joint_parts(
     scene: Scene, value: Value, text: str, places: Sequence[Place], target: str
 ) -> list[JointPart]:
-    """Returns the values of an origin for joints, one part per robot; raises DeclarationError.
+    """Splits the values of an origin into one part per robot; raises DeclarationError.
 
     Args:
         places: joints in the order of the values; the values of coupled joints can be omitted.
@@ -136,9 +136,10 @@ def _follows(place: Place, places: Set[Place]) -> bool:
 
 
 def whole_route(scene: Scene, parts: Sequence[JointPart]) -> Route:
-    """Merges the parts of an input to one route.
+    """Merges the parts of an input into one route.
 
-    Joints that are coupled to these joints follow; the others have their declared values.
+    Joints that are coupled to joints of the parts follow them. All other joints have their declared
+    values.
     """
     item = parts[0].to
     rest = _declared_values(scene, item)

@@ -23,8 +23,8 @@ from typing import Any, NoReturn
 from ...base.errors import RouteError, did_you_mean
 from ...robots.declared.route_text import FUNCTIONS, JOINING, NOT, Token, tokens_of
 
-_MAX_DEPTH = 40  # of nested brackets
-_MAX_WORDS = 2000  # the time to parse a sum is quadratic
+_MAX_DEPTH = 40  # maximum depth of nested brackets
+_MAX_WORDS = 2000  # maximum number of tokens; the time to parse a sum is quadratic
 _ALLOWED = (
     ast.Name, ast.Constant, ast.Load, ast.List, ast.BinOp, ast.Add, ast.Sub, ast.Mult, ast.Div,
     ast.UnaryOp, ast.UAdd, ast.USub, ast.Not, ast.BoolOp, ast.And, ast.Or, ast.Compare,
@@ -39,10 +39,11 @@ _CELL = 6  # characters per token
 
 @dataclass(frozen=True)
 class Expression:
-    """A parsed origin.
+    """A parsed expression or condition of a route or trigger.
 
     Attributes:
         negated: whether the expression begins with `not` and is not a condition.
+        words: tokens of the text.
     """
 
     text: str
@@ -53,7 +54,7 @@ class Expression:
 
     @property
     def name(self) -> str | None:
-        """The name, if the expression is a single name; else None."""
+        """The name, if the expression consists of a single name, else None."""
         word = self.words[first_word(self.tree)]
         return word.text if isinstance(self.tree, ast.Name) and word.kind == "name" else None
 
@@ -75,11 +76,11 @@ class Expression:
 
 
 def parse(text: str) -> Expression:
-    """Parses an origin; raises RouteError."""
+    """Parses an expression or condition of a route or trigger; raises RouteError."""
     words = list(tokens_of(text))
     if len(words) > _MAX_WORDS:
-        word, found = words[_MAX_WORDS], f"{len(words)} numbers, names and signs"
-        reason = f"expected at most {_MAX_WORDS} before the end; there are {found}"
+        word, found = words[_MAX_WORDS], f"found {len(words)}"
+        reason = f"expected at most {_MAX_WORDS} numbers, names and signs; {found}"
         raise RouteError(text, word.at, reason, len(word.text))
     functions = [
         word.kind == "name" and following.text == "(" and word.text not in JOINING
@@ -96,7 +97,7 @@ def parse(text: str) -> Expression:
     for word in words:
         depth += (word.text in ("(", "[")) - (word.text in (")", "]"))
         if depth > _MAX_DEPTH:
-            reason = f"expected at most {_MAX_DEPTH} brackets within each other"
+            reason = f"expected at most {_MAX_DEPTH} nested brackets"
             raise RouteError(text, word.at, reason)
     signs = [
         word.text if is_function else _sign_of(word, is_condition)

@@ -1,4 +1,4 @@
-"""`Mirror`: applies the packets of sources to a world."""
+"""Applies the packets of sources to a world."""
 
 from __future__ import annotations
 
@@ -171,8 +171,8 @@ class Mirror:
     def listen(self, listener: Listener, *, to_all: bool = False) -> None:
         """Calls `listener(source, packets)` in `advance` with the applied packets.
 
-        With `to_all`, calls it with all valid packets, including packets that newer ones have
-        replaced before use; up to 16 MB are stored between calls of `advance`.
+        With `to_all`, calls it with all valid packets, including packets that newer packets have
+        replaced before use. Up to 16 MB are stored between calls of `advance`.
         """
         if not to_all:
             self._listeners.append(listener)
@@ -187,10 +187,10 @@ class Mirror:
         self._again.update(self._latest)
 
     def advance(self, now: float | None = None) -> bool:
-        """Applies the latest packet of each source; returns whether there was a new one.
+        """Applies the latest packet of each source; returns whether a packet was new.
 
         Args:
-            now: time since the mirror was opened, s; the real time if None.
+            now: time since the mirror was opened, s; None for the real time.
         """
         data = self.data
         data.time = time.monotonic() - self._started if now is None else now
@@ -229,7 +229,7 @@ class Mirror:
         return values
 
     def state(self) -> Array:
-        """Returns a copy of the state that an image of the current time depends on."""
+        """Returns a copy of the state that determines an image of the current time."""
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
@@ -307,9 +307,9 @@ class _SourceStates:
 
 
 class Watch:
-    """Displays the data of an overlay.
+    """A `LiveWorld` with a copy of the data of an overlay.
 
-    It copies the data, so that a paused window does not change while the user's loop continues.
+    Because of the copy, a paused window does not change while the user's loop continues.
     """
 
     def __init__(self, world: ModelWorld) -> None:

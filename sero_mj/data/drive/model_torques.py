@@ -28,13 +28,13 @@ MODEL_TORQUES = (GRAVITY, FRICTION)
 
 
 def model_output(robot: SerialRobot, key: str) -> Input:
-    """Returns the description of an output in the form of an input."""
+    """Returns an output of a robot in the form of an input, with its name and shape."""
     coupled = robot.coupled if robot.couplings else None
     return Input(robot.name, key, (robot.n,), "values", coupled)
 
 
 def why_unknown(robots: Mapping[str, SerialRobot], name: str, key: str) -> str:
-    """Returns the reason why an output of a robot cannot be computed; "" if it can."""
+    """Returns the reason why an output of a robot cannot be computed, or "" if it can."""
     if key == FRICTION:
         return lack_of_friction(robots[name])
     floating = [each for each, robot in robots.items() if robot.free_base is True]
@@ -44,7 +44,7 @@ def why_unknown(robots: Mapping[str, SerialRobot], name: str, key: str) -> str:
 def origins_of(robots: Mapping[str, SerialRobot], name: str, key: str) -> list[str]:
     """Returns the inputs on which an output of a robot depends.
 
-    Gravity torques depend on the angles of all robots, because these may be mounted on it.
+    Gravity torques depend on the angles of all robots, because robots may be mounted on each other.
     """
     if key == GRAVITY:
         return [f"{each}.joint_angles" for each in robots]
@@ -52,26 +52,26 @@ def origins_of(robots: Mapping[str, SerialRobot], name: str, key: str) -> list[s
 
 
 def output_now(world: WorldView, data: mujoco.MjData, name: str, key: str) -> Array:
-    """Returns an output of a robot in the current state, (n,); NaN if unknown."""
+    """Returns an output of a robot in the current state, shape (n,); NaN for unknown values."""
     torques = gravity_torques if key == GRAVITY else friction_torques
     return torques(world, data)[world.robots[name].joints]
 
 
 class ModelTorques:
-    """Computes outputs of robots over time from their inputs."""
+    """Gravity and friction torques of robots over time, computed from their inputs."""
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         self._robots = robots
         self._gravity: GravityTorques | None = None  # compiled on first use
 
     def output(self, name: str, key: str, input_of: Callable[[str], Array | None]) -> Array:
-        """Returns an output of a robot, (T, n), with T = 1 if it is constant.
+        """Returns an output of a robot, shape (T, n), with T = 1 if it is constant.
 
         Friction torques are NaN if the velocities are unknown.
 
         Args:
-            input_of: function from the name of an input, such as `lwr.joint_angles`, to its values
-                (T, n); None if unknown.
+            input_of: function from the name of an input, such as `lwr.joint_angles`, to its values,
+                shape (T, n), or to None if they are unknown.
         """
         robot = self._robots[name]
         if key == FRICTION:

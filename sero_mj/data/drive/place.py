@@ -19,14 +19,15 @@ from .model_torques import output_now
 from .route import FrameRoute, Origin, Route
 from .wiring import Wiring, wire
 
-# The newest values by source and event.
+# Latest values by source and event.
 LatestValues = Mapping[str, Mapping[str, Array]]
 
 
 class Placer:
-    """Computes all frames of a world from its data; raises DeclarationError.
+    """A solver for the poses of all frames of a world; raises DeclarationError.
 
     Args:
+        world: world whose scene declares the frames.
         wiring: result of `wire` for the scene of the world; None to call `wire`.
     """
 
@@ -45,7 +46,7 @@ class Placer:
     def place(self, data: mujoco.MjData, packets: LatestValues | None = None) -> None:
         """Computes all frames from joint angles and received values, without a time step.
 
-        Before that, applies the routes that depend on several sources or on outputs of robots.
+        First applies the routes that depend on several sources or on outputs of robots.
         """
         self._late.apply(data, packets or {})
         for name in self._at_once:
@@ -124,7 +125,7 @@ def pose_doubles(world: WorldView, data: mujoco.MjData) -> None:
 def _targets(
     world: WorldView, data: mujoco.MjData, name: str, known: dict[str, Array | None]
 ) -> Array | None:
-    # Frames (rows, n + 1, 4, 4), base first; None without a pose.
+    # Returns frames, shape (rows, n + 1, 4, 4), base first, or None if the double has no pose.
     if name in known:
         return known[name]
     part = world.doubles[name]
@@ -168,7 +169,7 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """Applies routes to a world's data, in an order in which no origin is set after its use."""
+    """A sequence of routes to apply to a world; each route follows the routes to its origins."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world
@@ -180,10 +181,10 @@ class Router:
         self._routes = [(route.value, route.rest, _InputWriter(world, route)) for route in routes]
 
     def apply(self, data: mujoco.MjData, packets: LatestValues) -> None:
-        """Writes inputs whose origins have data. `Placer.place` computes the frames afterwards.
+        """Writes the inputs whose origins have data. Call `Placer.place` afterwards.
 
-        If a robot's joints have several origins, joints with data are written, and the others get
-        `Route.rest`.
+        If the joints of a robot have several origins, joints with data are written, and the other
+        joints get `Route.rest`.
         """
         if not self._routes:
             return
@@ -285,14 +286,14 @@ class _Limbs:
 
 
 def middle_joint(begin: Array, end: Array, lengths: tuple[float, float], towards: Array) -> Array:
-    """Returns the position of the joint between two links of a limb, (3,), m.
+    """Returns the position of the joint between two links of a limb, shape (3,), m.
 
     Args:
-        begin: begin of the first link, (3,), m.
-        end: end of the second link, (3,), m. If it is out of reach, the links are stretched or
-            folded.
-        lengths: lengths of the links, m.
-        towards: direction to which the joint bends, (3,).
+        begin: start point of the first link, shape (3,), m.
+        end: end point of the second link, shape (3,), m. If it is out of reach, the links are
+            stretched or folded.
+        lengths: lengths of the two links, m.
+        towards: direction in which the joint bends, shape (3,).
     """
     first, second = lengths
     along = end - begin

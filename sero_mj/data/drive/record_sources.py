@@ -32,7 +32,7 @@ from .wiring import wire
 
 Shapes = Mapping[str, tuple[int, ...]]
 
-# Last word of a per-joint quantity to its singular and its units for revolute and prismatic joints.
+# Singular and units (for revolute and prismatic joints) of per-joint quantities, by last word.
 _ONE: dict[str, tuple[str, str, str]] = {
     "angles": ("angle", "rad", "m"),
     "velocities": ("velocity", "rad/s", "m/s"),
@@ -58,8 +58,7 @@ def record_sources(
         sources: sources by name, such as `mirror.sources`. Replays are not recorded.
         scene: scene whose files are attached, and whose routes determine the names of decoded
             values.
-        signals_rate: maximum number of packets per second and source whose decoded values are
-            recorded as well.
+        signals_rate: maximum rate at which decoded values of each source are recorded, 1/s.
     """
     about = {"sero-mj": __version__, "scene": "" if scene is None else scene.name}
     live = {name: source for name, source in sources.items() if source.is_live}
@@ -83,6 +82,7 @@ def record_events(
     Args:
         sources: sources by name, live or replays.
         trigger: condition; None to record only on `record_now`.
+        path_of: function from the number and arrival time of an event to the file.
         **options: options of `TriggeredRecorder`, such as `before` and `after`.
     """
 
@@ -109,7 +109,7 @@ def record_last(
     seconds: float,
     signals_rate: float = SIGNALS_RATE,
 ) -> AbstractContextManager[TriggeredRecorder]:
-    """Buffers the packets of the last seconds within the context; `record_now` writes them."""
+    """Buffers the packets of the last `seconds` within the context; `record_now` writes them."""
     return record_events(
         sources, None, path_of, scene, before=seconds, after=0.0, signals_rate=signals_rate
     )
@@ -158,7 +158,7 @@ def _add(
 
 
 def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
-    """Returns names for a quantity of each joint, n, such as `lwr.A1.torque [Nm]`.
+    """Returns the name of a quantity for each joint, such as `lwr.A1.torque [Nm]`.
 
     Args:
         quantity: `torques`, `joint_angles`, `target_velocities`, or an input that the robot
@@ -184,10 +184,10 @@ def joint_names(name: str, robot: SerialRobot, quantity: str) -> list[str]:
 def joint_states_of(
     robots: Mapping[str, SerialRobot], keys: Collection[str], key_of: Callable[[str, str], str]
 ) -> dict[str, JointStates]:
-    """Returns the joint states of robots among values.
+    """Returns the joint states of the robots whose joint angles are recorded.
 
     Args:
-        keys: keys of the values, such as `lwr.joint_angles`.
+        keys: keys of the recorded values, such as `lwr.joint_angles`.
         key_of: function from the names of robot and quantity to a key.
     """
     found = {}
@@ -202,10 +202,10 @@ def joint_states_of(
 
 
 class RoutedSignals:
-    """Decoded packets of a source, with the names of the joints and arrows they are routed to.
+    """Decoded values of a source, with the names of the joints and arrows that they set.
 
-    Routed numbers are results of the routes, in SI units; other values are unchanged. Routes that
-    depend on more than a packet of this source are ignored.
+    Routed numbers are results of the routes, in SI units. Other values are unchanged. Routes that
+    depend on more than one packet are ignored.
     """
 
     def __init__(self, scene: Scene, routes: Sequence[Route], source: str, events: Shapes) -> None:

@@ -19,7 +19,7 @@ from ..receive.source import SIGNALS
 
 
 class Origin(NamedTuple):
-    """The origin of numbers: an event of a source, or an input of a robot that routes read."""
+    """The origin of numbers in a route: an event of a source, or an input of a robot."""
 
     name: str
     key: str
@@ -33,9 +33,9 @@ class Term(NamedTuple):
     """Multiples of k numbers of one origin.
 
     Attributes:
-        at: indices in the result, (k,).
-        take: flat indices in the origin, (k,).
-        times: factors, (k,).
+        at: indices in the result, shape (k,).
+        take: flat indices in the origin, shape (k,).
+        times: factors, shape (k,).
     """
 
     origin: Origin
@@ -46,12 +46,13 @@ class Term(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Affine:
-    """A constant plus multiples of received numbers; see `make_affine`.
+    """A constant plus multiples of received numbers; created by `make_affine`.
 
     Attributes:
-        offset: constant, (n,).
-        whole: origin whose numbers are the result, in order; None otherwise.
-        only: origin and indices, if the result has only numbers of this origin without factors.
+        offset: constant, shape (n,).
+        whole: origin whose numbers, in order, are the result; None if there is no such origin.
+        only: origin and indices of the numbers that are the result without factors, if all of them
+            have the same origin; otherwise None.
     """
 
     offset: Array
@@ -64,12 +65,12 @@ class Affine:
         return tuple(dict.fromkeys(term.origin for term in self.terms))
 
     def evaluate(self, numbers_of: Callable[[Origin], Array]) -> Array:
-        """Returns the numbers, (n,), or over time, (T, n).
+        """Returns the numbers, shape (n,), or (T, n) over time.
 
-        Numbers may overflow; call this under `np.errstate`.
+        Call this method within `np.errstate`, because numbers may overflow.
 
         Args:
-            numbers_of: function from an origin to its flat numbers, (k,), or over time, (T, k).
+            numbers_of: function from an origin to its numbers, shape (k,), or (T, k) over time.
         """
         if self.only is not None:
             origin, take = self.only
@@ -84,7 +85,7 @@ class Affine:
 
 
 def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int]) -> Affine:
-    """Returns the `Affine` with a constant (n,); `sizes` has the number count of each origin."""
+    """Returns a constant, shape (n,), plus terms; `sizes` counts the numbers of each origin."""
     only = whole = None
     if len(terms) == 1 and len(terms[0].at) == len(offset) and not offset.any():
         origin, _, take, times = terms[0]
@@ -99,7 +100,7 @@ def make_affine(offset: Array, terms: Sequence[Term], sizes: Mapping[Origin, int
     return Affine(offset, tuple(terms), whole, only)
 
 
-Truths = Callable[[Array], Any]  # from numbers over time, (T, n), to truth values, (T, ...)
+Truths = Callable[[Array], Any]  # function from numbers (T, n) to truth values (T, ...)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +110,9 @@ class Condition:
     truths: Truths
 
     def __call__(self, numbers: Array) -> Array:
-        """Returns 1 if the condition holds for any of the numbers, (n,) or (T, n), else 0.
+        """Returns 1 if the condition holds for any of the numbers, otherwise 0.
 
-        Returns NaN if a number is NaN.
+        Numbers have the shape (n,), or (T, n) over time. Returns NaN if a number is NaN.
         """
         rows = numbers if numbers.ndim > 1 else numbers[None]
         with np.errstate(all="ignore"):
@@ -123,15 +124,18 @@ class Condition:
 
 @dataclass(frozen=True, eq=False)
 class Route:
-    """One checked route of numbers.
+    """A checked route that sets the numbers of an input.
 
     Attributes:
-        numbers: for each number of the input, its index in the numbers of `text`. Coupled joints
-            have the index of their driving joint.
-        texts: for routes to individual joints, the origin of each number of the input; empty texts
-            for joints without a route.
-        rest: for such routes, the values of joints without a route: the declared pose, or NaN.
-        condition: condition of a toggle; None if the route sets a number.
+        to: input that the route sets.
+        text: text of the origin.
+        numbers: index of each number of the input in the numbers of `text`. A coupled joint has the
+            index of its driving joint.
+        texts: origin of each number of the input, if the route is to individual joints; empty for
+            joints without an origin.
+        rest: declared values or NaN for joints without an origin, if the route is to individual
+            joints.
+        condition: condition of a toggle; None if the route sets numbers.
     """
 
     to: Input
@@ -144,7 +148,7 @@ class Route:
     condition: Condition | None = None
 
     def origin_of(self, index: int) -> str:
-        """Returns the origin of a number of the input, such as `values0[3]`; empty for none."""
+        """Returns the origin of a number of the input, such as `values0[3]`, or ""."""
         offset = self.value.offset[index]
         text = self.texts[index] if self.texts else self.text
         if np.isnan(offset) or not text:
@@ -168,7 +172,7 @@ class Route:
 
     @property
     def direct(self) -> str | None:
-        """The source, if the route depends only on packets of one source; else None."""
+        """Name of the source, if the route depends only on packets of one source, else None."""
         sources = self.sources
         if any(o.is_event and o.key in SIGNALS for o in self.value.origins):
             return None  # changes also without a packet
@@ -177,7 +181,7 @@ class Route:
 
 @dataclass(frozen=True)
 class FrameRoute:
-    """One checked route from a frame.
+    """A checked route that sets an input to the pose of a frame.
 
     Attributes:
         frame: name of the frame; for `fwd_kin_base_to_flange`, name of the robot.

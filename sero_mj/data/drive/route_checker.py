@@ -49,7 +49,7 @@ AnyRoute = Route | FrameRoute | JointPart
 
 
 class RouteChecker:
-    """Checks the routes of a scene."""
+    """A checker that converts the routes of a scene to compiled routes."""
 
     def __init__(self, scene: Scene, sources: Mapping[str, Source]) -> None:
         self._scene, self._sources = scene, sources
@@ -232,7 +232,7 @@ class RouteChecker:
         scene, (name, _, key) = self._scene, target.partition(".")
         keys = [item.key for item in self._inputs.values() if item.name == name]
         if scene.is_broken(name) or scene.is_broken(name, ("groups",)):
-            near = nearest(key, ROBOT_INPUTS)  # maybe one of its own inputs
+            near = nearest(key, ROBOT_INPUTS)  # the robot may also declare this input
             mistyped = near is not None and key not in ROBOT_INPUTS
             message = f"no input '{key}' of {name}; did you mean '{near}'?"
             moves = {f"robots.{name}", f"groups.{name}"} & scene.broken
@@ -297,12 +297,12 @@ class RouteChecker:
             raise DeclarationError([])
         events = {**self._sources[name].events, **SIGNALS}
         if self._sources[name].needs_joints(event):
-            if self._scene.broken:  # a robot
+            if self._scene.broken:  # the robot of a route may be invalid
                 raise DeclarationError([])
             reason = (
                 f"joints of {name} are unknown, because it has no route to all joints of a robot"
             )
-            raise Problem("", reason, expected=f"sources.{name}.joints, their names").error()
+            raise Problem("", reason, expected=f"their names in sources.{name}.joints").error()
         if event not in events:
             hint, of = _missing_spaces(event, events), f"of {name}"
             if hint:

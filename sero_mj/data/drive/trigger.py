@@ -26,19 +26,19 @@ from .units import robot_of
 from .wiring import Wiring
 
 ERROR = "torque_error"
-Events = Mapping[str, Array]  # event to its numbers over time, (T, ...)
+Events = Mapping[str, Array]  # numbers of each event over time, shape (T, ...)
 
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The rows in which a condition holds, (T,)."""
+    """The packets in which a condition holds: `holds` has one truth value per packet."""
 
     holds: Bools
     _compared: tuple[Compared, ...] = ()
     _text: str = ""
 
     def describe(self, row: int) -> str:
-        """Returns the values in a row, such as `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
+        """Returns a text on a packet, such as `lwr/A3: abs(lwr.torque_error) = 23.4 > 20`."""
         parts = []
         for each in self._compared:
             holds = np.atleast_1d(each.holds[row]).ravel()
@@ -77,7 +77,10 @@ class Trigger:
             self._expression.refuse(0, "expected a comparison such as lwr.torques > 20")
 
     def find(self, source: str, events: Events) -> Hits:
-        """Returns in which valid packets of a source, (T, ...) by event, the condition holds."""
+        """Returns the packets in which the condition holds.
+
+        `events` contains the numbers in all new valid packets of a source.
+        """
         count = len(next(iter(events.values()), np.empty(0)))
         if not count:
             return Hits(np.zeros(0, bool))

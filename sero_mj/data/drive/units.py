@@ -1,7 +1,7 @@
 """Units in routes: their SI factors, and the units that inputs accept.
 
-A dimension has four exponents: of m, kg, s and rad. Angles have their own exponent, so that degrees
-are not confused with millimeters. Plain numbers, with zeros, match any dimension.
+A dimension consists of the exponents of m, kg, s and rad. Angles have their own exponent, so that
+degrees are not confused with millimeters. Plain numbers have exponents of zero and match any unit.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ _ANGLE: Dimension = (0, 0, 0, 1)
 _FORCE: Dimension = (1, 1, -2, 0)
 _TORQUE: Dimension = (2, 1, -2, 0)
 _SPEED: Dimension = (1, 0, -1, 0)
-_TURN: Dimension = (0, 0, -1, 1)
+_ANGULAR_VELOCITY: Dimension = (0, 0, -1, 1)
 
-# Name to its size in SI units and its dimension.
+# Units by name, with the size in SI units and the dimension.
 UNITS: dict[str, tuple[float, Dimension]] = {
     "rad": (1.0, _ANGLE),
     "mrad": (1e-3, _ANGLE),
     "deg": (np.pi / 180.0, _ANGLE),
-    "rpm": (np.pi / 30.0, _TURN),
+    "rpm": (np.pi / 30.0, _ANGULAR_VELOCITY),
     "m": (1.0, LENGTH),
     "cm": (1e-2, LENGTH),
     "mm": (1e-3, LENGTH),
@@ -57,7 +57,7 @@ _NAMES: dict[Dimension, str] = {
     _FORCE: "a force (N)",
     _TORQUE: "a torque (Nm)",
     _SPEED: "a velocity (m/s)",
-    _TURN: "an angular velocity (rad/s)",
+    _ANGULAR_VELOCITY: "an angular velocity (rad/s)",
     (1, 0, -2, 0): "an acceleration (m/s2)",
     (0, 0, -2, 1): "an angular acceleration (rad/s2)",
 }
@@ -65,29 +65,29 @@ _ARROWS: dict[str, Dimension] = {
     "force": _FORCE,
     "torque": _TORQUE,
     "velocity": _SPEED,
-    "angular_velocity": _TURN,
+    "angular_velocity": _ANGULAR_VELOCITY,
 }
-# Of a per-joint input, for revolute and prismatic joints.
+# Dimensions of per-joint inputs, for revolute and for prismatic joints.
 _JOINTS: dict[str, tuple[Dimension, Dimension]] = {
     "joint_angles": (_ANGLE, LENGTH),
     "torques": (_TORQUE, _FORCE),
     "commanded_torques": (_TORQUE, _FORCE),
     "gravity_torques": (_TORQUE, _FORCE),
     "friction_torques": (_TORQUE, _FORCE),
-    "joint_velocities": (_TURN, _SPEED),
+    "joint_velocities": (_ANGULAR_VELOCITY, _SPEED),
     "joint_accelerations": ((0, 0, -2, 1), (1, 0, -2, 0)),
 }
 
 
 def describe(dimension: Dimension) -> str:
-    """Returns the text of a dimension, such as `an angle (rad)` or `m2 kg s-3`."""
+    """Returns a dimension as text, such as `an angle (rad)` or `m2 kg s-3`."""
     units = zip(("m", "kg", "s", "rad"), dimension, strict=True)
     plain = " ".join(f"{unit}{'' if e == 1 else e}" for unit, e in units if e)
     return _NAMES.get(dimension, plain)
 
 
 def units_of(scene: Scene, item: Input) -> list[Dimension]:
-    """Returns the units of the numbers of an input or output; `NONE` if it accepts any unit.
+    """Returns the unit of each number of an input or output, or `NONE` if any unit is accepted.
 
     Arrows with their own `unit` accept any unit.
     """
@@ -104,7 +104,7 @@ def units_of(scene: Scene, item: Input) -> list[Dimension]:
 
 
 def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: str) -> str:
-    """Returns the error of the first number with a wrong unit; "" if all units match."""
+    """Returns a message on the first unit that differs from the units `taken`; "" if none does."""
     for i, want in enumerate(taken):
         have = units[i if len(units) > 1 else 0]
         if any(have) and any(want) and have != want:
@@ -115,6 +115,6 @@ def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: s
 
 
 def robot_of(scene: Scene, item: Input) -> SerialRobot:
-    """Returns the robot of a per-joint input of a robot or double."""
+    """Returns the robot to which a per-joint input belongs, also if it is an input of a double."""
     double = scene.doubles.get(item.name)
     return scene.robots[item.name if double is None else double.of]

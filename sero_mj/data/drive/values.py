@@ -1,7 +1,7 @@
 """Values of routes: arrays of constants plus multiples of received numbers.
 
-They are computed once, when a scene is read; `Value.compile` converts them to operations for each
-packet.
+Values are computed once, when a scene is read. `Value.compile` converts them to operations that are
+applied to each packet.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from ...base.frames import Array, Ints
 from .route import Affine, Origin, Term, make_affine
 from .units import NONE, Dimension, describe
 
-Numbers = NDArray[Any]  # of `Number`
+Numbers = NDArray[Any]  # array of `Number` objects
 
 
 class Impossible(Exception):
@@ -28,7 +28,12 @@ class Impossible(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A constant plus multiples of received numbers: origin, index and factor of each."""
+    """A constant plus multiples of received numbers.
+
+    Attributes:
+        offset: constant.
+        terms: origin, index and factor of each received number.
+    """
 
     offset: float
     unit: Dimension = NONE
@@ -58,7 +63,7 @@ class Number:
 
     def __truediv__(self, other: Number) -> Number:
         if other.terms:
-            raise Impossible("expected a constant after it")
+            raise Impossible("expected a constant divisor")
         if not other.offset:
             raise Impossible("expected a divisor other than 0")
         return self * Number(1.0 / other.offset, tuple(-exponent for exponent in other.unit))
@@ -69,9 +74,9 @@ class Value:
     """An array of constants plus multiples of received numbers.
 
     Attributes:
-        entries: array of `Number`.
-        is_frames: whether the array has 4 x 4 frames.
-        sizes: origin to the count of its numbers.
+        entries: array of `Number` objects.
+        is_frames: whether the array contains 4 x 4 frames.
+        sizes: count of the numbers of each origin.
     """
 
     entries: Numbers
@@ -89,11 +94,11 @@ class Value:
 
     @property
     def is_constant(self) -> bool:
-        """Whether the value has no received numbers."""
+        """Whether the value does not depend on received numbers."""
         return not any(entry.terms for entry in self.entries.flat)
 
     def gather(self, take: Ints, factors: Array, constants: Array) -> Value:
-        """Returns m numbers: those at the row-major indices `take`, times factors, plus constants.
+        """Returns the numbers at m row-major indices, times factors, plus constants.
 
         A number loses its unit unless its factor is 1. A constant of NaN means missing data.
         """
@@ -111,21 +116,24 @@ class Value:
         return Value(entries, sizes=self.sizes)
 
     def spread(self, at: Ints, rest: Array) -> Value:
-        """Returns the constants `rest`, (m,), with the own numbers at the k indices `at`.
+        """Returns m numbers: those of this value at the k indices `at`, and otherwise `rest`.
 
-        A single number is repeated k times.
+        If this value is a single number, it is repeated k times.
         """
         entries = np.array([Number(float(each)) for each in rest], dtype=object)
         entries[at] = self.entries.ravel() if self.entries.size > 1 else self.entries.item()
         return Value(entries, sizes=self.sizes)
 
     def split(self, counts: Sequence[int]) -> list[Value]:
-        """Splits the numbers, row-major, into parts of these sizes."""
+        """Splits the numbers, in row-major order, into parts with the sizes `counts`."""
         parts = np.split(self.entries.ravel(), np.cumsum(counts)[:-1])
         return [Value(part, sizes=self.sizes) for part in parts]
 
     def compile(self, count: int) -> Affine:
-        """Returns the operations for each packet; a constant is repeated `count` times."""
+        """Returns the operations that compute `count` numbers from a packet.
+
+        A single number is repeated.
+        """
         entries = np.broadcast_to(self.entries.ravel(), count)
         terms = []
         for column in zip_longest(*(entry.terms for entry in entries)):
@@ -140,14 +148,14 @@ class Value:
 
 
 def constant(number: float, unit: Dimension = NONE) -> Value:
-    """Returns a constant number with the exponents of its unit."""
+    """Returns a constant number with a unit."""
     return Value(np.array(Number(number, unit), dtype=object))
 
 
 def numbers_of(
     origin: Origin, shape: tuple[int, ...], units: Sequence[Dimension] | None = None
 ) -> Value:
-    """Returns all numbers of an event or output, with the unit of each; None for no units."""
+    """Returns all numbers of an event or output. `units` has one entry per number."""
     count = int(np.prod(shape))
     numbers = [
         Number(0.0, unit, ((origin, i, 1.0),)) for i, unit in enumerate(units or [NONE] * count)

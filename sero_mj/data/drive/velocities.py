@@ -1,4 +1,4 @@
-"""`Velocities`: joint velocities as differences of received joint angles."""
+"""Computes joint velocities as differences of received joint angles."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .route import Route
 
 
 class Velocities:
-    """Writes the velocities of robots with received joint angles to `qvel`.
+    """An estimator that writes the velocities of robots with received joint angles to `qvel`.
 
     A velocity is the difference of the angles of two applied packets, divided by the time between
     their arrivals. It is zero if this time exceeds half a second.
@@ -28,10 +28,10 @@ class Velocities:
             for name, part in world.robots.items()
             if (sources := _sources(by_target, target := f"{name}.joint_angles"))
         }
-        self._before: dict[str, tuple[float, Array]] = {}  # arrival and angles
+        self._before: dict[str, tuple[float, Array]] = {}  # arrival time and angles
 
     def forget(self) -> None:
-        """Resets, when the sources are opened."""
+        """Forgets the previous angles. Called when the sources are opened."""
         self._before.clear()
 
     def update(
@@ -45,8 +45,9 @@ class Velocities:
         """Updates velocities from the joint angles in `data`.
 
         Args:
-            fresh: sources with new packets.
-            late: update the robots that `Placer.place` moves; otherwise, all other robots.
+            fresh: names of the sources with new packets.
+            latest: latest packet of each source.
+            late: whether to update the robots that `Placer.place` moves, instead of all others.
         """
         for name, (part, is_late, sources) in self._parts.items():
             came = [latest[source].arrival for source in sources & fresh]

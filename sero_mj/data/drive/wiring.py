@@ -1,4 +1,4 @@
-"""`wire`: builds the sources of a scene, and checks its routes.
+"""Builds the sources of a scene, and checks its routes.
 
 route  = target "=" origin
 target = name "." input          lwr.joint_angles, contact.vector, toggles.legend; values for
@@ -11,7 +11,7 @@ origin = ["not"] expression      udp.values0, udp.values0[0:7] * deg, leader.tor
        | frame                   lwr/flange: its pose in the world
        | robot ".fwd_kin_base_to_flange"  its pose in the robot's base
 
-`language` has the grammar of expressions, `evaluator` their meaning.
+`language` defines the grammar of expressions, and `evaluator` computes them.
 """
 
 from __future__ import annotations
@@ -51,11 +51,12 @@ from .units import robot_of
 
 @dataclass
 class Wiring:
-    """The sources of a scene and the routes from them.
+    """The sources of a scene and its checked routes.
 
     Attributes:
         later: routes that depend on more than one packet, each after the routes to its origins.
-        levels: names of bodies that frames place, each level after those that it depends on.
+        levels: names of the bodies that frames move, in levels; each level depends only on the
+            levels before it.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -73,7 +74,7 @@ class Wiring:
 
 
 def wire(scene: Scene) -> Wiring:
-    """Builds the sources of a scene and checks its routes, without opening sources.
+    """Builds the sources of a scene and checks its routes, without opening the sources.
 
     Routes of invalid robots and sources are not checked, because their errors are already known.
     """
@@ -83,7 +84,7 @@ def wire(scene: Scene) -> Wiring:
             wiring.sources[name] = wired_source(scene, name, declared)
     wiring.problems += _shared_places(wiring.sources)
     checker = RouteChecker(scene, wiring.sources)
-    routed_by: dict[tuple[str, int], str] = {}  # number of an input to the target of its route
+    routed_by: dict[tuple[str, int], str] = {}  # target of the route of each number of an input
     parts: dict[str, list[JointPart]] = {}
     for target, origin in scene.routes.items():
         with collect(wiring.problems, f"routes.{target}"):
@@ -124,7 +125,7 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
 
 
 def topics_of(scene: Scene) -> dict[str, Source]:
-    """Returns the receivers of messages of a scene's valid sources; see `Source.of_messages`."""
+    """Returns the message receivers of a scene's valid sources; see `Source.of_messages`."""
     found: dict[str, Source] = {}
     for name, declared in scene.sources.items():
         with suppress(SeroError):
@@ -224,7 +225,7 @@ def _limit_numbers(wiring: Wiring) -> None:
             if not term.origin.is_event or term.origin.name != name or key not in source.events:
                 continue
             numbers = limits.setdefault(key, np.full(int(np.prod(source.events[key])), np.inf))
-            with np.errstate(divide="ignore"):  # by a factor of 0
+            with np.errstate(divide="ignore"):  # factors may be 0
                 np.minimum.at(numbers, term.take, largest[term.at] / np.abs(term.times))
         source.limit({key: each for key, each in limits.items() if np.isfinite(each).any()})
 
@@ -256,7 +257,7 @@ def _levels_of_frames(scene: Scene, routes: Sequence[FrameRoute]) -> list[list[s
     placed = set()
     for route in routes:
         mover = route.frame if route.is_fwd_kin else frames[route.frame].moves_with
-        if route.to.key != "flange_check":  # it moves nothing
+        if route.to.key != "flange_check":  # a check moves nothing
             after.setdefault(route.to.name, set()).add(mover)
             placed.add(route.to.name)
     for name, received in scene.frames.items():

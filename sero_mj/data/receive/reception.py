@@ -44,12 +44,12 @@ class Timeline:
 
     @property
     def end(self) -> float | None:
-        """Time in seconds, as in `advance_to`, of the last packet; None for live sources."""
+        """Time of the last packet in seconds, as for `advance_to`; None for live sources."""
         return None
 
     @property
     def begin(self) -> float:
-        """Time in seconds, as in `advance_to`, of the first packet."""
+        """Time of the first packet in seconds, as for `advance_to`."""
         return 0.0
 
     @property
@@ -59,7 +59,7 @@ class Timeline:
 
     @property
     def step(self) -> float | None:
-        """Time step in seconds of a simulation, whose `advance_to` is slow; None for others."""
+        """Time step in s of a simulation, whose `advance_to` is slow; None for other sources."""
         return None
 
     def advance_to(self, time: float) -> None:
@@ -94,7 +94,7 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def intake(self) -> Intake:
-        """Checks and counters of packets, which `open` creates again."""
+        """Checks and counters of packets. `open` creates new ones."""
         if self._intake is None:
             self._intake = self._new_intake()
         return self._intake
@@ -129,7 +129,7 @@ class Reception(PacketDeclaration, Timeline):
 
     @property
     def receive_trigger(self) -> int:
-        """Number of valid packets."""
+        """Number of valid packets since the source was opened."""
         return self._mail.number
 
     def allow_nan(self, events: Collection[str]) -> None:

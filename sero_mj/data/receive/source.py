@@ -107,7 +107,7 @@ class Source(Reception):
 
     @property
     def memory(self) -> tuple[str, str, int] | None:
-        """Name, lock event (or "") and offset in bytes of the shared memory; None without any."""
+        """Name, lock event (or "") and byte offset of the shared memory; None for other sources."""
         return None
 
     def message_of(self, packet: bytes) -> bytes:

@@ -71,7 +71,7 @@ class SequenceTracker:
         self._last, self._last_arrival, self._run = number, arrival, 0
 
     def classify(self, number: int, arrival: float) -> int:
-        """Returns `NEXT`, `DUPLICATE`, `LATE` or `RESTARTED` for a number; `arrival` is in s."""
+        """Classifies a number as `NEXT`, `DUPLICATE`, `LATE` or `RESTARTED`; `arrival` is in s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None:
@@ -135,7 +135,7 @@ class StampTracker:
         self._run, self._run_last = 0, 0.0
 
     def classify(self, stamp: float, arrival: float) -> int:
-        """Returns `NEXT`, `LATE` or `RESTARTED` for a time stamp in s; `arrival` is in s."""
+        """Classifies a time stamp in s as `NEXT`, `LATE` or `RESTARTED`; `arrival` is in s."""
         last, paused = self._last, arrival - self._last_arrival > PAUSE
         self._last_arrival = arrival
         if last is None or stamp >= last:

@@ -1,10 +1,10 @@
 """Opens UDP sockets and reads packets in batches.
 
 On Linux, one call of `recvmmsg` reads up to 256 packets with their arrival times. With waiting
-packets of 112 bytes, it takes 15 us for one packet, 17 us for 8, and 114 us for 256; `recvmsg_into`
-takes 3, 13 and 405 us. It also releases the interpreter lock for each packet. Beside a busy thread,
-the 99th percentile for 64 packets is therefore 26 ms instead of 10 ms. Receiving 300,000 packets/s
-while rendering (docs/peers.md) leaves 3.3 us for each packet.
+packets of 112 bytes, it takes 15 us for one packet, 17 us for 8, and 114 us for 256. `recvmsg_into`
+takes 3, 13 and 405 us, and also releases the interpreter lock for each packet. Beside a busy
+thread, the 99th percentile for 64 packets is therefore 26 ms instead of 10 ms. Receiving 300,000
+packets/s while rendering (docs/peers.md) leaves 3.3 us for each packet.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ class Batch:
 
 
 class Datagrams:
-    """Reads and sends packets of a UDP socket, and reads them in batches.
+    """Reads the packets of a UDP socket in batches, and sends answers.
 
     Args:
         sock: bound UDP socket, which becomes non-blocking.

@@ -48,7 +48,7 @@ class PacketWorker(ABC):
         self._queue_bytes = queue_bytes
         self._queue: deque[Batch] = deque()
         self._queued = 0  # bytes of the packets that have not been handled
-        self._lost: dict[str, int] = {}  # packets, by source
+        self._lost: dict[str, int] = {}  # number of lost packets by source
         self._closing = False
         self._changed = threading.Condition()  # guards the queue; held briefly
         self._started, self._ended = time.monotonic(), math.nan

@@ -23,7 +23,7 @@ _BURST = 0.05  # s; packets of this interval may be decoded at once, because the
 
 @dataclass(frozen=True)
 class RecorderStatistics:
-    """Packets and bytes of a recording so far.
+    """Counts of packets and bytes in a recording so far.
 
     Attributes:
         packets: number of written packets of all sources. If the disk is full, up to one chunk (1
@@ -145,7 +145,7 @@ class Recorder(PacketWorker):
 
     @property
     def clock(self) -> RecordingClock:
-        """Start of the recording on both clocks."""
+        """Start time of the recording on both clocks."""
         return self._writer.clock
 
     @property

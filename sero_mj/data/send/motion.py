@@ -1,6 +1,6 @@
-"""Example motions of robots, with the signals measured during them.
+"""Example motions of robots, and the signals that are measured during a motion.
 
-They are smooth, within the robot's limits, and include the required torques.
+Motions are smooth and within the limits of the robot. Signals include the required torques.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
 LEAD = 0.5  # time in s by which the commanded position leads the measured position
-_AMPLITUDE = 0.4  # as a share of half the range of the joint
-_AMPLITUDE_ABOUT_POSE = 0.2  # the same for motions about a declared pose
+_AMPLITUDE = 0.4  # amplitude as a share of half the range of the joint
+_AMPLITUDE_ABOUT_POSE = 0.2  # the same share for motions about a declared pose
 _BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad
 _REDUCTION, _REDUCTIONS = 0.75, 10  # factor of amplitudes with collisions, and maximum number
-_SAMPLE_TIMES = 0.618034 * np.arange(500)  # s; poses of all phases of the joints' periods
+_SAMPLE_TIMES = 0.618034 * np.arange(500)  # times that sample all phases of the motion, s
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
 
 
 class SineMotion:
-    """Every joint oscillates with its own period; velocities stay below the limits.
+    """A motion in which every joint oscillates with its own period, below the velocity limits.
 
     The center is the declared `joint_angles`, or a bent pose. `amplitude` is from 0 to 1.
     """
@@ -50,7 +50,7 @@ class SineMotion:
         self._coupled = robot.coupled if robot.couplings else None
 
     def at(self, t: float) -> tuple[Array, Array, Array]:
-        """Returns joint positions, velocities and accelerations, (n,), at a time, s."""
+        """Returns joint positions, velocities and accelerations, shape (n,), at time `t` (s)."""
         angle = self._omega * t + self._phase
         sin, cos = np.sin(angle), np.cos(angle)
         position = self._center + self._swing * sin
@@ -64,7 +64,7 @@ class SineMotion:
 
 
 class InverseDynamics:
-    """Joint torques of robots from their motion, by MuJoCo's inverse dynamics.
+    """MuJoCo's inverse dynamics of one or more robots.
 
     Without declared masses, the torques are an estimate for links with the density of water.
     """
@@ -78,7 +78,7 @@ class InverseDynamics:
         self.world.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
 
     def torques(self, position: Array, velocity: Array, acceleration: Array) -> Array:
-        """Returns the torques for a motion of the joints of all robots, in order, (n,)."""
+        """Returns the joint torques of all robots, in order, for a motion, shape (n,)."""
         data, dofs = self.data, self._dofs
         data.qpos[self._qpos], data.qvel[dofs], data.qacc[dofs] = position, velocity, acceleration
         mujoco.mj_inverse(self.world.model, data)
@@ -86,7 +86,7 @@ class InverseDynamics:
 
 
 def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[str, float]:
-    """Returns the amplitudes of motion of each robot that avoid collisions between robots.
+    """Returns the motion amplitude of each robot that avoids collisions between robots.
 
     Amplitudes of robots that collide in sampled poses, and of robots that carry them, are reduced.
     Collisions in the declared pose are ignored.
@@ -119,10 +119,8 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
         reduced: set[str] = set()
         for one, other in met:
             below, above = set(carriers(by_name, one)), set(carriers(by_name, other))
-            reduced |= (below ^ above) - {one, other} or {
-                one,
-                other,
-            }  # of colliding parts, only the carriers that differ
+            # Carriers of only one of the colliding robots are reduced, if there are any.
+            reduced |= (below ^ above) - {one, other} or {one, other}
         for name in reduced:
             amplitudes[name] *= _REDUCTION
             motions[name] = SineMotion(by_name[name], amplitudes[name])
@@ -130,7 +128,7 @@ def clear_amplitudes(robots: Sequence[SerialRobot], amplitude: float) -> dict[st
 
 
 class CommonMotion:
-    """The motion of several robots without collisions, with its torques; amplitude from 0 to 1."""
+    """A motion of several robots without collisions; `amplitude` is from 0 to 1."""
 
     def __init__(self, robots: Sequence[SerialRobot], amplitude: float) -> None:
         amplitudes = clear_amplitudes(robots, amplitude)
@@ -141,7 +139,7 @@ class CommonMotion:
         self._last: tuple[float, Array] | None = None
 
     def of(self, robot: str, t: float, lead: float) -> Array:
-        """Returns position, velocity, acceleration, torques and target position, (5, n).
+        """Returns position, velocity, acceleration, torque and target position, shape (5, n).
 
         Args:
             lead: time by which the target leads the position, s.
@@ -160,7 +158,7 @@ class RobotSignals:
         self._robot, self._motion = robot, motion
 
     def signals(self, t: float) -> Mapping[str, Array]:
-        """Returns the values of inputs (`joint_angles`, `torques`, ...) at a time, s."""
+        """Returns the values of inputs such as `joint_angles` and `torques` at time `t` (s)."""
         position, velocity, acceleration, torques, target = self._motion.of(
             self._robot.name, t, LEAD
         )
@@ -168,7 +166,7 @@ class RobotSignals:
             "joint_angles": position,
             "commanded_angles": target,
             "torques": torques,
-            "commanded_torques": torques,  # a perfect controller: the error is zero
+            "commanded_torques": torques,  # the controller has no torque error
             "joint_velocities": velocity,
             "joint_accelerations": acceleration,
             "billboard_values": velocity,

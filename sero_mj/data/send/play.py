@@ -1,4 +1,4 @@
-"""`MotionPackets`: generates the packets that a moving robot would send.
+"""Generates the packets that a moving robot would send.
 
 `RouteInverse` computes the numbers of a packet from the values of inputs.
 """
@@ -23,13 +23,13 @@ from ..receive.source import Source
 from ..receive.structure import Structure
 from .motion import CommonMotion, RobotSignals
 
-_SWITCHED_AFTER = 4.0  # s
+_SWITCHED_AFTER = 4.0  # time between changes of toggles, s
 _RANK_TOLERANCE = 1e-9  # share of a row below which it is linearly dependent
 _MAGNITUDES = {"force": 50.0, "torque": 10.0, "velocity": 0.5, "angular_velocity": 1.5}
 
 
 def choose_source(wiring: Wiring, name: str | None = None) -> Source:
-    """Returns the source of a name, or the only source; raises UsageError."""
+    """Returns the source with a name, or the only source; raises UsageError."""
     sources = wiring.sources
     if name is None and len(sources) == 1:
         name = next(iter(sources))
@@ -43,7 +43,7 @@ def choose_source(wiring: Wiring, name: str | None = None) -> Source:
 
 
 def structure_for(source: Source, text: str | None = None) -> Structure:
-    """Returns the structure of a source, or another structure with the same types."""
+    """Returns the structure of a source, or the structure `text` with the types of the source."""
     if text is None:
         return source.layout
     return Structure(
@@ -52,19 +52,21 @@ def structure_for(source: Source, text: str | None = None) -> Structure:
 
 
 class Player(Protocol):
-    """Provides the measured signals of one robot; see `RobotSignals`."""
+    """A provider of the measured signals of one robot, such as `RobotSignals`."""
 
     def signals(self, t: float) -> Mapping[str, Array]: ...
 
 
 class MotionPackets:
-    """Packets of a scene's source; raises DeclarationError or UsageError.
+    """The packets that a source of a scene receives from moving robots.
+
+    Raises DeclarationError or UsageError.
 
     Args:
         source: name of the source; None for the only source.
-        structure: structure to use instead of that of the source.
-        amplitude: amplitude of the motion, 0 to 1.
-        players: signals by robot; None for a motion of the robots.
+        structure: packet layout; None for the layout of the source.
+        amplitude: amplitude of the motion, from 0 to 1.
+        players: providers of signals by robot; None for an example motion.
     """
 
     def __init__(
@@ -90,7 +92,7 @@ class MotionPackets:
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
-        self._plain: dict[str, str] = {}  # event to the input that gets all of it
+        self._plain: dict[str, str] = {}  # input that all numbers of an event set, by event
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
@@ -149,7 +151,7 @@ class MotionPackets:
         return None
 
     def at(self, t: float) -> bytes:
-        """Returns the packet of a time, s."""
+        """Returns the packet at time `t` (s)."""
         now = {name: player.signals(t) for name, player in self._robots.items()}
         wanted = {}
         for item, negated in self._wanted:
@@ -261,7 +263,7 @@ def _nothing_to_send(routes: Sequence[Route], source: str, structure: Structure)
         return f"no route uses source '{source}', so there is nothing to send"
     return (
         f"structure '{structure.text}' has {', '.join(structure.events)}; the routes from "
-        f"'{source}' take {', '.join(taken)}: there is nothing to send"
+        f"'{source}' take {', '.join(taken)}, so there is nothing to send"
     )
 
 
@@ -272,9 +274,9 @@ def _importance(scene: Scene, item: Input) -> int:
 
 
 class RouteInverse:
-    """Solves routes for the numbers of their events, with minimum norm.
+    """The inverse of routes, which computes the numbers of events from the values of inputs.
 
-    If routes contradict each other, the first routes take precedence.
+    The solution has minimum norm. If routes contradict each other, the first ones take precedence.
     """
 
     def __init__(self, routes: Sequence[Route]) -> None:
@@ -291,7 +293,7 @@ class RouteInverse:
         rows = np.concatenate([self._rows(route, width) for route in routes])
         self._selected = _independent(rows)
         self._inverse = np.linalg.pinv(rows[self._selected])
-        # For each origin: indices of its numbers, and their places in the solution.
+        # Indices of the numbers of each origin, and their indices in the solution.
         self._taken = {
             origin: (np.array(list(columns), np.intp), np.array(list(columns.values()), np.intp))
             for origin, columns in self._columns.items()
@@ -313,10 +315,12 @@ class RouteInverse:
     def solve(
         self, wanted: Mapping[str, Array], output: Callable[[Origin], Array]
     ) -> Callable[[Origin, int], Array]:
-        """Solves for one packet; returns a function from event and count to its numbers.
+        """Solves the routes for one packet.
+
+        Returns a function from an event and the count of its numbers to these numbers.
 
         Args:
-            wanted: values of the routes' inputs, (n,), by `name.key`.
+            wanted: values of the inputs by target, such as `lwr.torques`, shape (n,) each.
             output: function from an output of a robot to its values.
         """
 

@@ -20,9 +20,10 @@ from ..record.replay import Replay
 
 @dataclass
 class Playback(ABC):
-    """Packets to send.
+    """A sequence of packets to send.
 
     Attributes:
+        about: text about the packets, for messages.
         count: maximum number of packets.
         duration: time from the first to the last packet, s.
         skipped: number of packets so far that were malformed, or had numbers out of the range of
@@ -39,7 +40,7 @@ class Playback(ABC):
 
     @abstractmethod
     def packets(self) -> Iterator[tuple[float, bytes]]:
-        """Yields the send time of each packet, s after the first, and its bytes."""
+        """Yields the time from the first packet to each packet (s), and the bytes of the packet."""
 
     def _encode(self, values: Mapping[str, ArrayLike]) -> bytes | None:
         try:
@@ -71,7 +72,7 @@ class RecordedPackets(Playback):
     Raises RecordingError, or UsageError if the source or all events of the structure are missing.
 
     Args:
-        source: name of the recorded source; may be empty if there is only one.
+        source: name of the recorded source; may be empty if there is only one source.
         structure: structure of the sent packets; None for the recorded packets. Events that are not
             in the recording are zero, or identity matrices.
         only_whole: skip recorded packets of a wrong size.
@@ -130,12 +131,12 @@ class RecordedPackets(Playback):
 def timed(
     playback: Playback, *, speed: float = 1.0, loop: bool = False, duration: float | None = None
 ) -> Iterator[tuple[float, bytes]]:
-    """Yields packets at another speed, in a loop, or for a limited time.
+    """Yields send times (s) and packets at another speed, in a loop, or for a limited time.
 
     Each repetition begins one average interval after the end of the previous one.
 
     Args:
-        speed: factor of the speed; 2 is twice as fast.
+        speed: playback speed relative to the original speed.
         duration: time limit in s; None for no limit.
     """
     pause = playback.duration / max(playback.count - 1, 1) or 1e-3
@@ -170,7 +171,7 @@ def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> li
     common = [event for event in to.events if event in events]
     if not common:
         has, wanted = ", ".join(events), ", ".join(to.events)
-        raise UsageError(f"{of} has the events {has}; '{to.text}' has {wanted}. None are common")
+        raise UsageError(f"{of} has the events {has}; '{to.text}' has {wanted}; no event is common")
     for event in common:
         if to.events[event] != events[event]:
             found, expected = (" x ".join(map(str, each[event])) for each in (events, to.events))

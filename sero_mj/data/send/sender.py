@@ -1,4 +1,4 @@
-"""`send`: sends packets at an exact rate to a `UdpSink` or `ShmWriter`.
+"""Sends packets at an exact rate by UDP or shared memory.
 
 `PacketBuffer` computes packets early, so that they are sent on time.
 """
@@ -26,19 +26,19 @@ from ..receive.shm_block import Block, block_path
 from ..receive.structure import Rows, Structure
 
 _SPIN = 2e-4  # s; accuracy of sleep, after which the rest is a busy wait
-_MAX_COMPUTED_RATE = 1000.0  # packets/s; other packets are interpolated
-_LEAD_TIME = 0.25  # s; maximum time by which packets are computed early
+_MAX_COMPUTED_RATE = 1000.0  # maximum rate of computed packets, 1/s; others are interpolated
+_LEAD_TIME = 0.25  # maximum time by which packets are computed early, s
 
 
 class Sink(Protocol):
-    """The receiver of packets: `UdpSink` or `ShmWriter`."""
+    """A destination of packets, such as `UdpSink` and `ShmWriter`."""
 
     def put(self, packet: bytes) -> None:
         """Sends a packet; raises OSError."""
 
 
 class UdpSink:
-    """Sends packets to a UDP port; raises SourceError if the address cannot be resolved.
+    """A sink that sends packets to a UDP port; raises SourceError if the address is invalid.
 
     Args:
         message_of: function from a packet to the message to send; None to send the packet.
@@ -73,15 +73,15 @@ class UdpSink:
 
 
 class ShmWriter:
-    """Writes packets of one structure to a block of POSIX shared memory; raises SourceError.
+    """A sink that writes packets to a block of POSIX shared memory; raises SourceError.
 
     The block is created if it is missing, and enlarged if it is too small. `close` removes a block
     that the writer has created.
 
     Args:
-        block: name of the shared memory, `robot` or `/robot`.
-        lock: event that is odd while a packet is written, and even afterwards (a seqlock); empty
-            for none. Its value in packets is not used.
+        block: name of the shared memory, for example `robot` or `/robot`.
+        lock: event whose value is odd while a packet is written, and even afterwards (a seqlock);
+            empty for no lock. The value of this event in packets is not used.
         offset: position of the packet in the block, bytes.
     """
 
@@ -120,7 +120,7 @@ class ShmWriter:
         odd = self._number | 1
         self._number = (odd + 1) % modulus or 2  # 0 means that nothing has been written
         before, after = (np.array(n, field.dtype).tobytes() for n in (odd, self._number))
-        if self._structure.checksums:  # of the packet with the final value of the lock
+        if self._structure.checksums:  # they cover the final value of the lock
             whole = bytearray(packet[: field.offset] + after + packet[field.end :])
             self._structure.seal(np.frombuffer(whole, np.uint8)[None])
             packet = bytes(whole)
@@ -143,16 +143,17 @@ class ShmWriter:
 
 
 class PacketBuffer:
-    """Packets of a motion at a high rate, computed in the idle time between packets.
+    """A buffer of packets that are computed in the idle time between packets.
 
-    Above 1 kHz, packets between those at 1 kHz are interpolated linearly. The maximum error of an
-    LWR's joint angles is 1e-6 rad.
+    At rates above 1 kHz, packets are computed at up to 1 kHz, and the packets in between are
+    interpolated linearly. The maximum error of the joint angles of an LWR is 1e-6 rad.
 
     Args:
-        packet_at: function from a time, s, to the packet.
-        sequence: event with the sequence number, from 1; empty for none.
-        time: event with the send time; empty for none.
-        time_scale: seconds per unit of `time`.
+        packet_at: function from a time (s) to the packet.
+        rate: packets per second.
+        sequence: event that contains the sequence number, which starts at 1; empty for none.
+        time: event that contains the send time; empty for none.
+        time_scale: duration of one unit of `time`, s.
     """
 
     def __init__(
@@ -173,13 +174,13 @@ class PacketBuffer:
         self._floats = [field for field in structure.fields if field.is_float]
         self._step = max(math.ceil(rate / _MAX_COMPUTED_RATE), 1)
         self._packets: deque[bytes] = deque()
-        self._first = 0  # number of the first packet, from 0
+        self._first = 0  # number of the first packet in the buffer, starting at 0
         self._made = 0
         self._last: Rows | None = None
-        self._takes = 0.0  # s to compute the next packets
+        self._takes = 0.0  # time to compute the next packets, s
 
     def at(self, t: float) -> bytes:
-        """Returns the packet of a time, s; times must not decrease."""
+        """Returns the packet at time `t` (s). Times of successive calls must not decrease."""
         number = round(t * self._rate)
         while self._made <= number:
             self._make()
@@ -189,7 +190,7 @@ class PacketBuffer:
         return self._packets[0]
 
     def idle(self, left: float) -> bool:
-        """Computes packets if `left` s suffice for it; returns whether it did."""
+        """Computes packets if the time `left` (s) is sufficient; returns whether it did."""
         if left < 1.5 * self._takes or len(self._packets) > _LEAD_TIME * self._rate:
             return False
         self._make()
@@ -260,7 +261,7 @@ class SendReport:
 def paced(
     packet_at: Callable[[float], bytes], rate: float, duration: float | None = None
 ) -> Iterator[tuple[float, bytes]]:
-    """Yields send times, s, at equal intervals, and packets; without end if `duration` is None."""
+    """Yields send times (s) at equal intervals, and packets. A `duration` of None has no end."""
     for number in itertools.count():
         if duration is not None and number >= max(round(duration * rate), 1):
             return
@@ -276,13 +277,13 @@ def send(
     """Sends packets at exact times until the last packet or Ctrl+C.
 
     Args:
-        packets: send time of each packet, s from now, and its bytes.
-        idle: function that uses idle time, called with the time until the next packet, s, as long
-            as it returns true.
+        packets: send time of each packet, relative to now (s), and its bytes.
+        idle: function that is called while there is time before the next packet, until it returns
+            false. Its argument is the remaining time, s.
     """
     late: list[float] = []
     refused = sent = 0
-    gc.freeze()  # without it, garbage collection of all imported objects takes 50 ms
+    gc.freeze()  # otherwise, garbage collection of all imported objects takes 50 ms
     start = time.perf_counter()
     try:
         for due, packet in packets:
@@ -304,7 +305,10 @@ def send(
 
 
 def wait_until(when: float, idle: Callable[[float], bool] | None = None) -> float:
-    """Waits until a time of `time.perf_counter`, s; returns the delay, s."""
+    """Waits until `time.perf_counter` reaches a time (s); returns the delay (s).
+
+    `idle` is called while there is time left, as in `send`.
+    """
     left = when - time.perf_counter()
     while idle is not None and left > 0 and idle(left):
         left = when - time.perf_counter()

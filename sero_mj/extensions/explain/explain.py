@@ -15,11 +15,26 @@ Each kind has a distinct signature in the residuals of the link and motor side o
     flange          payload          link: linear in ten parameters, all joints together
     links           masses s         link s x, all joints together, during the whole run
     encoder         offset o         link -o dx/dq, all joints together
+                    scale k          link -k q dx/dq, all joints together
+    joint           friction drift                       motor (f sign(dq) + v dq) (t - t0)
+                    load friction f                      motor f |x| sign(dq)
+                    spring           link: polynomial of q
+                    elasticity k     link -(x dx/dq + M d2x/dt2) / k, all joints together
+                    backlash b       link -b/2 sign(x) dx/dq, all joints together
+    drive           motor inertia B                      motor B ddq
+                    saturation L                         motor u - clip(u, L)
+    one link        mass, center     link: linear in mass or first moment, all joints together
+    base            tilt             link: linear in gravity, all joints together
+    flange, link    force F          link -J^T F, all joints together
+    commands        clock d, r                           motor -(d + r t) du/dt, all joints
+                    gravity c                            motor c g(q), all joints
 
-Each kind is fitted for all begin and end times. The kind and the times with the lowest Bayesian
-information criterion (Schwarz 1978) are selected; the confidence results from the odds against the
-other kinds. The explanation is subtracted from the residuals, and the search continues. Differences
-below 0.05 % of a joint's torque limit are not reported.
+Faults of the log itself are searched first (see `log_faults`). Then each kind is fitted for all
+begin and end times. The kind and the times with the lowest Bayesian information criterion (Schwarz
+1978) are selected; the confidence results from the odds against the other kinds, and from the share
+of torque that remains unexplained (see `goodness`). The explanation is subtracted from the
+residuals, and the search continues. Differences below 0.05 % of a joint's torque limit are not
+reported.
 """
 
 from __future__ import annotations
@@ -34,14 +49,14 @@ from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
 from ...study.align import Pair
 from ...study.explanation import (
-    FLANGE,
-    LINKS,
     MAX_CONFIDENCE,
     OF_ONE_RUN,
+    PLACES,
     Explainer,
     Explanation,
 )
 from .explain_search import MIN_ROWS, Search
+from .log_faults import log_faults
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
@@ -60,6 +75,13 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     `found` contains the residuals of the robot if they are already known.
     """
     found = found or torque_residuals(log, robot)
+    faults, log = log_faults(log, robot, found)
+    if faults:
+        found = replace(torque_residuals(log, robot), no_model=found.no_model)
+    return [*faults, *_explain_correct(log, robot, found)]
+
+
+def _explain_correct(log: RunLog, robot: str, found: TorqueResiduals) -> list[Explanation]:
     # A run that a runaway joint aborts ends too early for the normal low-pass filter.
     end = log.between(float(log.times[-1]) - _ENDING, None)
     looped = found.torque_control
@@ -166,10 +188,15 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
-    first = torque_residuals(a, robots[0])
+    first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
+    faults, a = log_faults(a, robots[0], first)
+    faults_of_b, b = log_faults(b, robots[1], second)
+    if faults:
+        first = torque_residuals(a, robots[0])
     second = torque_residuals(b, robots[1], times=first.times - offset)
     moved = replace(second, times=first.times, noise=second.noise.later(offset))
-    return explain_pair(first, moved)
+    of_b = [replace(each, begin=each.begin + offset, is_second=True) for each in faults_of_b]
+    return [*faults, *of_b, *explain_pair(first, moved)]
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
@@ -224,7 +251,7 @@ def _with_runaway_drives(
         if each.joint in runaway and each.part == "drive" and each.kind != "unexplained"
     ]
     has = {each.joint for each in clear}
-    order = [*names, FLANGE, LINKS]
+    order = [*names, *PLACES]
     return sorted([*clear, *(each for each in explanations if each.joint not in has)],
                   key=lambda each: order.index(each.joint))  # fmt: skip
 
@@ -391,8 +418,15 @@ class TorqueExplainer(Explainer):
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
-    lines = ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
-             f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
+    lines = []
+    if found.undeclared:
+        keys = ", ".join(found.undeclared)
+        lines.append(
+            f"{found.robot.name} declares no {keys}: they are fitted to this recording, so only "
+            "changes of its drives are visible. Estimate them with `sero-mj identify`."
+        )
+    lines += ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
+              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
     if found.torque_control:
         lines.append("Commands come from a joint torque loop that already compensates friction.")
     if not found.has_model:

@@ -7,178 +7,81 @@ edges in time. With cumulative sums over rows, the cost of each pair of edges is
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
-from functools import partial
-from math import erf
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...study.explanation import FLANGE, LINKS, MAX_CONFIDENCE, Explanation, Kind, Part
-from .torque_residuals import DELAYS, TorqueResiduals
+from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part
+from .edges import Edges, Sums, SumsOfPair
+from .effects import (
+    MIN_SIGN,
+    SHARE,
+    CommonEffect,
+    JointEffect,
+    Size,
+    common_effects,
+    joint_effects,
+)
+from .goodness import limited, unexplained_share
+from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 
-_erf = np.vectorize(erf)
 MIN_EFFECT = 5e-4  # share of the torque limit; root mean square while the fault acts
 MIN_ROWS = 8  # minimum number of rows in an interval
 # Noise floor as a share of the torque limit, as a share of the torque, and in s of its rate.
 _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
 _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are not reported
+_MIN_CONFIDENCE = 0.5  # of a kind; below, torques are unexplained
+_SIDES: tuple[Part, Part] = ("joint", "drive")  # parts of torques that are unexplained
+_SIMILAR = 6.0  # difference of scores below which the odds are less than 20
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
 _MAX_PER_JOINT = 3
+_MAX_COMMONS = 6  # tried effects that concern all joints, with fits of their residuals
+_MAX_OF_KIND = 2  # tried effects of the same kind that concern all joints
+_REFITS = 4
+_TIE = 1e-3  # preference between equivalent explanations
 _ROUNDS = 40
 _MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
 # Minimum number of differing joints for also fitting a payload without one of them, and maximum
 # number of these fits.
 _MIN_JOINTS, _MAX_TRIED = 3, 2
-_GRID, _ROUNDS_OF_EDGES = 18, 3
-# Prior standard deviations of a gain, and of a torque as a share of the torque limit.
-_GAIN, _SHARE = 1.0, 0.1
-# Factor of a fitted delay: prior standard deviation, and valid range.
-_DELAY_FACTOR, _DELAY_RANGE = 1.3, (0.4, 2.0)
-_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, then refined
-_ROUNDS_OF_DELAYS, _EXACT = 4, 0.02
-_MAX_GAIN = 2.6  # maximum deviation from 1
-_MIN_SIGN = 1.3  # minimum deviation from 1 of a gain that is reported as a wrong sign
-# Prior standard deviations of payload, masses and encoder offsets in SI units.
-_PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
-_MASSES, _ENCODER = np.array([0.5]), np.array([0.1])
-_MAX_ENCODERS, _MAX_OFFSET = 2, 0.2  # tried encoders; offset (rad or m) with a linear effect
-# Minimum reported size: kg, share of the masses, rad or m.
-_MIN_SIZE: dict[Kind, float] = {"payload": 0.03, "masses": 0.005, "encoder": 5e-4}
+_ROUNDS_OF_VALUES, _EXACT = 6, 0.02  # refinements, and factor minus 1 of an exact value
 _RESIDUAL_RATIO = 0.1  # ratio of squared residuals below which an explanation is far better
 _UNEXPLAINED = 0.002  # share of the torque limit
 _MIN_PUSHED = 2  # number of joints with unexplained torques that indicates an external force
 
 
-@dataclass(frozen=True, eq=False)
-class _Common:
-    """A fault that affects all joints.
-
-    Attributes:
-        place: `FLANGE`, `LINKS`, or the joint with the encoder.
-        torques: link torques per unit of each parameter, shape (K, n, p).
-    """
-
-    kind: Kind
-    part: Part
-    place: str
-    torques: Array
-    priors: Array
-    is_constant: bool = False
-
-
 @dataclass(eq=False)
 class _Fit:
-    """The best explanation of the residuals of one joint, or of all joints (`joint` is -1)."""
+    """The best explanation of the residuals of one joint, or of all joints (`joint` is -1).
+
+    `effect` is None for unexplained torques and for undeclared friction.
+    """
 
     joint: int
     kind: Kind
     part: Part
+    effect: JointEffect | CommonEffect | None
     columns: Array  # (2, K, n, p), in units of the residuals' standard deviations
     priors: Array  # (p,)
-    edges: tuple[int, int]  # in half rows, see `_Edges`
+    edges: tuple[int, int]  # in half rows, see `Edges`
     gain: float  # improvement of the score over no explanation
     parameters: Array
     errors: Array
-    delay: float = 0.0
     confidence: float = 0.0
     used: Bools | None = None  # joints used for the fit; None for all
-    common: _Common | None = None  # the fault that affects all joints
+    alternatives: tuple[str, ...] = ()  # other kinds that the data cannot exclude
+
+    @property
+    def common(self) -> CommonEffect | None:
+        return self.effect if isinstance(self.effect, CommonEffect) else None
 
     @property
     def is_on_link(self) -> bool:
         return self.part == "joint"
-
-
-class _Edges:
-    """Begin and end times of an effect in half rows, after the low-pass filter.
-
-    Edge 0 is the start and edge 2 K - 1 the end; edge e is at e / 2 rows. The filter converts a
-    step to the integral of a Gaussian. `sharpness` is the inverse of the filter's width in rows.
-    """
-
-    def __init__(self, rows: int, sharpness: float) -> None:
-        self.rows, self.end = rows, 2 * rows - 1
-        distance = np.arange(rows)[None, :] - 0.5 * np.arange(2 * rows)[:, None]
-        self._on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
-        self._on[0], self._on[-1] = 1.0, 0.0
-
-    def share(self, first: int, last: int) -> Array:
-        # The filtered share of an effect between two edges, (K,).
-        return np.asarray(self._on[first] - self._on[last])
-
-    def sums(self, X: Array, y: Array) -> _Sums:
-        # Normal equations between any two edges, for columns X (c, K, p) and data y (c, K).
-        K, p = X.shape[1:]
-        squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
-        products = np.einsum("ckp,ck->kp", X, y)
-        known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
-        # The share before the last edge is 1 minus the share after it.
-        begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
-        return _Sums(
-            begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
-        )
-
-    def best(self, scores: Any) -> tuple[int, int, float]:
-        # Returns the best edges and their score; `scores` takes arrays of edges. A temporary effect
-        # is not visible with its begin alone, so a grid of pairs is tried first.
-        grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
-        pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
-        found = scores(*pairs)
-        first, last = pairs[:, int(np.argmax(found))].tolist()
-        score = -np.inf
-        for _ in range(_ROUNDS_OF_EDGES):
-            firsts = np.arange(last)
-            found = scores(firsts, np.full(len(firsts), last))
-            first = int(np.argmax(found))
-            lasts = np.arange(first + 1, self.end + 1)
-            found = scores(np.full(len(lasts), first), lasts)
-            last = int(lasts[np.argmax(found)])
-            if found.max() <= score:
-                break
-            score = float(found.max())
-        return first, last, score
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    begun: Array  # (E, p, p)
-    ended: Array  # (E, p, p)
-    products: Array  # (E, p)
-    known: Array  # (E,)
-
-    def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
-        return (
-            self.begun[first] - self.ended[last],
-            self.products[first] - self.products[last],
-            self.known[first] - self.known[last],
-        )
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    kind: Kind
-    part: Part
-    columns: Sequence[tuple[Array, Array]]  # effect on link and motor per parameter, (K, n) each
-    priors: Array  # (n, p)
-    delay: float = 0.0  # s
-    with_delay: Callable[[float], _Candidate] | None = None  # the same kind with another delay
-
-
-def _delayed(
-    part: Part, late: Array, sides: tuple[float, float], priors: Array, delay: float
-) -> _Candidate:
-    # `late` is the change of the torque by each of `DELAYS`, (D, K, n). `sides` are its factors in
-    # the residuals of link and motor.
-    delay = float(np.clip(delay, DELAYS[0], DELAYS[-1]))
-    k = min(int(np.searchsorted(DELAYS, delay, side="right")) - 1, len(DELAYS) - 2)
-    share = (delay - DELAYS[k]) / (DELAYS[k + 1] - DELAYS[k])
-    change = late[k] + share * (late[k + 1] - late[k])
-    columns = [(sides[0] * change, sides[1] * change)]
-    with_delay = partial(_delayed, part, late, sides, priors)
-    return _Candidate("delay", part, columns, priors, delay, with_delay)
 
 
 class Search:
@@ -213,8 +116,11 @@ class Search:
         self.left = self.y.copy()
         self.count = np.maximum(self.known.sum(axis=(0, 1)), 1)  # (n,)
         self.facts = np.maximum(self.count / _ROWS_PER_FACT, 2.0)
-        self.edges = _Edges(len(found.times), found.step / found.width)
+        self.edges = Edges(len(found.times), found.step / found.width)
+        self.undeclared = self._undeclared()
         self.fits: list[_Fit] = []
+        if self.undeclared:
+            self._refit()
         for _ in range(_ROUNDS):
             best = self._best()
             if best is None:
@@ -222,48 +128,37 @@ class Search:
             self.fits.append(best)
             self._refit()
 
-    def _candidates(self) -> list[_Candidate]:
-        found, zero = self.found, np.zeros_like(self.found.link)
-        one = np.ones_like(zero)
-        has_link = bool(self.known[0].any())
+    def _undeclared(self) -> list[_Fit]:
+        # Friction and inertia of motors that are not declared are fitted along with the faults.
+        motion, keys = self.found.motion, self.found.undeclared
+        if self.found.torque_control:
+            keys = tuple(key for key in keys if key == OF_MOTORS[0])
+        effects = (motion.accelerations, motion.velocities, motion.signs)
+        columns = dict(zip(OF_MOTORS, effects, strict=True))
+        fits = []
+        for joint in range(self.n if keys else 0):
+            X = np.zeros((*self.y.shape, len(keys)))
+            scaled = np.stack([columns[key][:, joint] for key in keys], axis=-1)
+            scaled /= self.sigma[1, :, joint, None]
+            known = self.known[1, :, joint, None] & np.isfinite(scaled)
+            X[1, :, joint] = np.where(known, scaled, 0.0)
+            zero, wide = np.zeros(len(keys)), np.full(len(keys), SHARE * self.found.scale[joint])
+            whole = 0, self.edges.end
+            fits.append(_Fit(joint, "friction", "joint", None, X, wide, whole, 0.0, zero, zero))
+        return fits
+
+    def _joint_effects(self) -> list[JointEffect]:
+        found = self.found
         true, late = found.torques.model, found.torques.late_model
         for fit in self.fits:  # sensors also measure a payload, for example
-            if fit.common is not None:
+            if fit.common is not None and fit.common.side == 0:
                 share = self.edges.share(*fit.edges)[:, None]
                 extra = share * np.nan_to_num(fit.common.torques @ fit.parameters)
                 slope = np.gradient(extra, found.step, axis=0)
                 true, late = true + extra, late - DELAYS[:, None, None] * slope
-        if not has_link:
+        if not self.known[0].any():
             true = found.torques.commanded - found.lag + np.nan_to_num(found.motor)
-        # Joint torque control regulates the measured torque, including the error of the sensor.
-        in_motor = 0.0 if found.torque_control else 1.0
-        sensor: Part = "torque sensor" if has_link else "sensor or drive"
-        torque = _SHARE * found.scale[:, None]
-        gain, factor = np.full((self.n, 1), _GAIN), np.full((self.n, 1), _DELAY_FACTOR)
-        candidates: list[_Candidate] = []
-        if has_link or not found.torque_control:
-            candidates += [
-                _Candidate("gain", "torque sensor", [(true, -in_motor * true)], gain),
-                _Candidate("bias", sensor, [(one, -in_motor * one)], torque),
-            ]
-            candidates += [
-                _delayed("torque sensor", late, (1.0, -in_motor), factor, delay)
-                for delay in _TRIED_DELAYS
-            ]
-        if self.known[1].any():
-            if not found.torque_control:
-                friction = [(zero, found.motion.signs), (zero, found.motion.velocities)]
-                priors = torque.repeat(2, axis=1)
-                candidates.append(_Candidate("friction", "joint", friction, priors))
-            commanded = [(zero, -found.torques.commanded)]
-            candidates.append(_Candidate("gain", "drive", commanded, gain))
-            candidates += [
-                _delayed("drive", found.torques.late_commanded, (0.0, -1.0), factor, delay)
-                for delay in _TRIED_DELAYS
-            ]
-            if has_link:
-                candidates.append(_Candidate("bias", "drive", [(zero, -one)], torque))
-        return candidates
+        return joint_effects(found, true, late)
 
     def _best(self) -> _Fit | None:
         fits = self._singles()
@@ -273,23 +168,31 @@ class Search:
         # If a joint has its own fault, the other joints fit the common effect.
         without = [None, *range(self.n)] if len(fits) >= _MIN_JOINTS else [None]
         alternative = sum(fit.gain for fit in fits)
-        totals: list[tuple[float, _Fit]] = []
-        for common in self._commons():
-            sums = self._sums_of(common)
-            tried = [self._of_all_joints(common, *sums, joint) for joint in without]
-            found = [fit for fit in tried if fit is not None]
-            found.sort(key=lambda fit: -fit.gain)
-            totals += [
-                (total, fit) for fit in found[:_MAX_TRIED]
-                if (total := self._total_with(fit)) is not None
-            ]  # fmt: skip
+        tried: list[_Fit] = []
+        for common, X in self._commons():
+            y = self.left[common.side]
+            of_joints = [(X[None, :, j], y[None, :, j]) for j in range(self.n)]
+            if common.is_constant:
+                pair = 0, self.edges.end
+                sums: list[Sums] | list[SumsOfPair]
+                sums = [self.edges.sums_of_pair(*each, pair) for each in of_joints]
+            else:
+                sums = [self.edges.sums(*each) for each in of_joints]
+            found = [self._of_all_joints(common, X, sums, joint) for joint in without]
+            tried += sorted((fit for fit in found if fit), key=lambda fit: -fit.gain)[:_MAX_TRIED]
+        tried.sort(key=lambda fit: -fit.gain)
+        totals = [
+            (total, fit) for fit in tried[:_MAX_COMMONS]
+            if (total := self._total_with(fit)) is not None
+        ]  # fmt: skip
         if not totals:
             return first
         highest, best = max(totals, key=lambda each: each[0])
         if highest <= alternative:
             return first
-        rivals = [total for total, fit in totals if fit.common is not best.common]
-        best.confidence = _odds([highest, alternative, *rivals])
+        rivals = [(total, fit) for total, fit in totals if fit.common is not best.common]
+        best.confidence = _odds([highest, alternative, *(total for total, _ in rivals)])
+        best.alternatives = _similar(highest, rivals)
         return best
 
     def _total_with(self, common: _Fit) -> float | None:
@@ -305,11 +208,11 @@ class Search:
         return None if unfit else common.gain + sum(fit.gain for fit in others)
 
     def _singles(self) -> list[_Fit]:
-        candidates = self._candidates()
+        candidates = self._joint_effects()
         found = [self._best_of(joint, candidates) for joint in range(self.n)]
         return [fit for fit in found if fit is not None]
 
-    def _best_of(self, joint: int, candidates: Sequence[_Candidate]) -> _Fit | None:
+    def _best_of(self, joint: int, candidates: Sequence[JointEffect]) -> _Fit | None:
         mine = [fit for fit in self.fits if fit.joint == joint]
         total = float((self.left[:, :, joint] ** 2).sum())
         highest = _evidence(total, 0.0, self.count[joint], self.facts[joint])
@@ -323,41 +226,52 @@ class Search:
         best = max(known, key=lambda fit: fit.gain, default=None)
         if best is None or best.gain < _MIN_SCORE or not self._matters(best):
             return None
-        rivals = [fit.gain for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
-        best.confidence = _odds([best.gain, *rivals, 0.0])
+        rivals = [fit for fit in known if (fit.kind, fit.part) != (best.kind, best.part)]
+        best.confidence = _odds([best.gain, *(fit.gain for fit in rivals), 0.0])
+        best.alternatives = _similar(best.gain, [(fit.gain, fit) for fit in rivals])
         return best
 
-    def _refined(self, joint: int, candidate: _Candidate) -> _Fit | None:
-        # Refines the delay. Effects of different delays are not proportional to each other.
+    def _refined(self, joint: int, candidate: JointEffect) -> _Fit | None:
+        # Refines the value of an effect that is not linear in it, such as a delay.
         fit = self._fitted(joint, candidate)
-        for _ in range(_ROUNDS_OF_DELAYS):
-            if fit is None or candidate.with_delay is None:
+        for _ in range(_ROUNDS_OF_VALUES):
+            if fit is None or candidate.variants is None:
                 break
-            if abs(fit.parameters[0] - 1.0) < _EXACT:
+            factor = float(fit.parameters[0])
+            if abs(factor - 1.0) < _EXACT:
                 break
-            other = candidate.with_delay(fit.delay * float(fit.parameters[0]))
-            better = self._fitted(joint, other, fit.edges)
-            if better is None or better.gain <= fit.gain:
+            variants = candidate.variants(factor)
+            fits = [self._fitted(joint, each, fit.edges) for each in variants]
+            gains = [-np.inf if each is None else each.gain for each in fits]
+            k = int(np.argmax(gains))
+            if gains[k] <= fit.gain:
                 break
-            fit = better
+            fit, candidate = fits[k], variants[k]
         return fit
 
     def _fitted(
-        self, joint: int, candidate: _Candidate, edges: tuple[int, int] | None = None
+        self, joint: int, candidate: JointEffect, edges: tuple[int, int] | None = None
     ) -> _Fit | None:
         columns = np.stack([np.stack([side[:, joint] for side in column])
                             for column in candidate.columns], axis=-1)  # fmt: skip
         scaled = columns / self.sigma[:, :, joint, None]
         X = np.where(self.known[:, :, joint, None] & np.isfinite(scaled), scaled, 0.0)
         y, priors = self.left[:, :, joint], candidate.priors[joint]
-        sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
+        if candidate.is_constant:
+            edges = (0, self.edges.end)
+        sums = self.edges.sums(X, y) if edges is None else self.edges.sums_of_pair(X, y, edges)
+        inverse = np.diag(1.0 / priors**2)
         total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
+        absorbed = self._absorbed(joint, X, edges)
 
         def scores(first: Any, last: Any) -> Array:
             H, g, rows = sums.between(first, last)
+            H = H - absorbed(first, last)
             phi = np.linalg.solve(H + inverse, g[..., None])[..., 0]
             gains = 2.0 * np.einsum("kp,kp->k", g, phi) - np.einsum("kp,kpq,kq->k", phi, H, phi)
             ends = 0.0 + (np.asarray(first) > 0) + (np.asarray(last) < self.edges.end)
+            if self.undeclared:  # changes are relative to the start of the recording
+                ends += _TIE * (np.asarray(first) == 0)
             price = (len(priors) + ends) * np.log(facts)
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
             return np.where(rows >= MIN_ROWS, better, -np.inf)
@@ -371,14 +285,34 @@ class Search:
             return None
         H, g, _ = sums.between(first, last)
         parameters, errors = _solved(H, g, inverse, total, int(count))
-        if candidate.kind == "gain" and abs(parameters[0]) > _MAX_GAIN:
-            return None
-        if candidate.delay and not _DELAY_RANGE[0] < parameters[0] < _DELAY_RANGE[1]:
+        least = 0.0 if candidate.least is None else candidate.least[joint]
+        is_small = abs(parameters[0]) < least
+        if is_small or not candidate.allowed[0] < parameters[0] < candidate.allowed[1]:
             return None
         whole = np.zeros((*self.y.shape, len(priors)))
         whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
-        return _Fit(joint, candidate.kind, candidate.part, whole, priors, (first, last), gain,
-                    parameters, errors, candidate.delay)  # fmt: skip
+        return _Fit(joint, candidate.kind, candidate.part, candidate, whole, priors, (first, last),
+                    gain, parameters, errors)  # fmt: skip
+
+    def _absorbed(
+        self, joint: int, X: Array, edges: tuple[int, int] | None
+    ) -> Callable[[Any, Any], Any]:
+        # The part of X' X between two edges that undeclared friction would explain as well.
+        if not self.undeclared:
+            return lambda first, last: 0.0
+        N, priors = self.undeclared[joint].columns[:, :, joint], self.undeclared[joint].priors
+        inverse = np.linalg.inv(np.einsum("ckp,ckq->pq", N, N) + np.diag(1.0 / priors**2))
+        if edges is not None:
+            one = np.einsum("ckp,ckq,k->pq", X, N, self.edges.share(*edges))
+            of_pair = one @ inverse @ one.T
+            return lambda first, last: of_pair
+        cross = self.edges.weighted(np.einsum("ckp,ckq->kpq", X, N))
+
+        def between(first: Any, last: Any) -> Array:
+            C = cross[first] - cross[last]
+            return np.asarray(C @ inverse @ np.swapaxes(C, -1, -2))
+
+        return between
 
     def _unknown(self, joint: int, side: int) -> _Fit | None:
         # An arbitrary torque far above noise on one side of a joint. It has as many parameters as
@@ -395,37 +329,37 @@ class Search:
         whole = np.zeros((*self.y.shape, 1))
         whole[side, rows, joint, 0] = y[rows]
         last = self.edges.end if rows.stop >= len(y) else 2 * rows.stop
-        return _Fit(joint, "unexplained", "joint" if side == 0 else "drive", whole, np.ones(1),
-                    (2 * rows.start, last), float(gain - (count + 2.0) * np.log(facts)),
-                    np.ones(1), np.array([np.nan]))  # fmt: skip
+        return _Fit(joint, "unexplained", _SIDES[side], None, whole,
+                    np.ones(1), (2 * rows.start, last),
+                    float(gain - (count + 2.0) * np.log(facts)), np.ones(1),
+                    np.array([np.nan]))  # fmt: skip
 
-    def _commons(self) -> list[_Common]:
-        found, names = self.found, self.found.robot.names
-        masses = found.torques.model[..., None]
-        commons = [
-            _Common("payload", "flange", FLANGE, found.torques.payload, _PAYLOAD),
-            _Common("masses", "links", LINKS, masses, _MASSES, is_constant=True),
-        ]
-        # Trying all encoders is slow, so only those that explain most of the whole run are tried.
-        scaled = found.by_angle / self.sigma[0][..., None]
-        scaled = np.where(self.known[0][..., None] & np.isfinite(scaled), scaled, 0.0)
-        squares = (scaled**2).sum(axis=(0, 1)) + 1.0 / _ENCODER**2
-        gains = np.einsum("kij,ki->j", scaled, self.left[0]) ** 2 / squares
-        commons += [
-            _Common("encoder", "encoder", names[j], -found.by_angle[:, :, [j]], _ENCODER)
-            for j in np.argsort(-gains)[:_MAX_ENCODERS]
-        ]
+    @cached_property
+    def _common_effects(self) -> list[tuple[CommonEffect, Array]]:
+        # With the effects (K, n, p) in units of the residuals' standard deviations.
+        effects = []
+        for each in common_effects(self.found):
+            scaled = each.torques / self.sigma[each.side, :, :, None]
+            known = self.known[each.side][..., None] & np.isfinite(scaled)
+            effects.append((each, np.where(known, scaled, 0.0)))
+        return effects
+
+    def _commons(self) -> list[tuple[CommonEffect, Array]]:
+        # Trying all effects is slow, so of each kind only those are tried that explain most of the
+        # whole run.
         fitted = {(fit.common.kind, fit.common.place) for fit in self.fits if fit.common}
-        return [each for each in commons if (each.kind, each.place) not in fitted]
-
-    def _sums_of(self, common: _Common) -> tuple[Array, list[_Sums]]:
-        link = common.torques / self.sigma[0, :, :, None]
-        link = np.where(self.known[0][..., None] & np.isfinite(link), link, 0.0)
-        sums = [self.edges.sums(link[None, :, j], self.left[:1, :, j]) for j in range(self.n)]
-        return link, sums
+        promising: dict[Kind, list[tuple[float, int]]] = {}
+        for k, (each, X) in enumerate(self._common_effects):
+            if (each.kind, each.place) in fitted:
+                continue
+            H = np.einsum("knp,knq->pq", X, X) + np.diag(1.0 / each.priors**2)
+            g = np.einsum("knp,kn->p", X, self.left[each.side])
+            promising.setdefault(each.kind, []).append((float(g @ np.linalg.solve(H, g)), k))
+        best = [k for found in promising.values() for _, k in sorted(found)[-_MAX_OF_KIND:]]
+        return [self._common_effects[k] for k in sorted(best)]
 
     def _of_all_joints(
-        self, common: _Common, link: Array, sums: list[_Sums], without: int | None
+        self, common: CommonEffect, X: Array, sums: Sequence[Sums | SumsOfPair], without: int | None
     ) -> _Fit | None:
         used = np.arange(self.n) != (-1 if without is None else without)
         inverse = np.diag(1.0 / common.priors**2)
@@ -452,22 +386,25 @@ class Search:
             first, last, gain = self.edges.best(scores)
         if not gain > _MIN_SCORE:
             return None
-        parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
+        parts = [
+            each.between(first, last) for each, is_used in zip(sums, used, strict=True) if is_used
+        ]
         H, g = (
             np.sum([part[0] for part in parts], axis=0),
             np.sum([part[1] for part in parts], axis=0),
         )
         parameters, errors = _solved(H, g, inverse, float(totals.sum()), int(self.count.sum()))
         columns = np.zeros((*self.y.shape, len(common.priors)))
-        columns[0] = link * self.edges.share(first, last)[:, None, None]
-        fit = _Fit(-1, common.kind, common.part, columns, common.priors, (first, last), gain,
-                   parameters, errors, used=used, common=common)  # fmt: skip
+        columns[common.side] = X * self.edges.share(first, last)[:, None, None]
+        fit = _Fit(-1, common.kind, common.part, common, columns, common.priors, (first, last),
+                   gain, parameters, errors, used=used)  # fmt: skip
         active = np.ix_(self.edges.share(first, last) > 0.5, used)
-        before = float((self.left[0][active] ** 2).sum())
-        after = float(((self.left - columns @ parameters)[0][active] ** 2).sum())
-        if common.kind == "encoder" and abs(parameters[0]) > _MAX_OFFSET:
+        before = float((self.left[common.side][active] ** 2).sum())
+        after = float(((self.left - columns @ parameters)[common.side][active] ** 2).sum())
+        if not common.allowed[0] < parameters[0] < common.allowed[1]:
             return None
-        is_clear = abs(parameters[0]) > max(_MIN_SIZE[common.kind], 3.0 * errors[0])
+        size = common.size(parameters, errors, -1)
+        is_clear = abs(size.size) > max(common.min_size, 3.0 * size.error)
         return fit if is_clear and after < 0.4 * before and self._matters(fit) else None
 
     def _effects(self, fit: _Fit) -> Array:
@@ -486,37 +423,76 @@ class Search:
         return bool(effects[fit.joint] > max([least, *(_MIN_SHARE * each for each in others)]))
 
     def _refit(self) -> None:
-        for _ in range(4 if len(self.fits) > 1 else 1):
-            for fit in self.fits:
-                if fit.kind == "unexplained":
-                    continue
-                others = sum(
-                    (other.columns @ other.parameters for other in self.fits if other is not fit),
-                    np.zeros_like(self.y),
-                )
-                used = np.ones(self.n, bool) if fit.used is None else fit.used
-                X = fit.columns[:, :, used].reshape(-1, fit.columns.shape[-1])
-                H = X.T @ X + np.diag(1.0 / fit.priors**2)
-                g = X.T @ (self.y - others)[:, :, used].ravel()
-                fit.parameters = np.asarray(np.linalg.solve(H, g), np.float64)
-        self.left = self.y.copy()
-        for fit in self.fits:
-            self.left -= fit.columns @ fit.parameters
-        for fit in self.fits:  # standard errors depend on the final residuals
-            used = (np.arange(self.n) == fit.joint) | (fit.joint < 0)
+        # Fits of one joint depend on each other, so they are solved together.
+        fits = [fit for fit in [*self.undeclared, *self.fits] if fit.kind != "unexplained"]
+        groups = [[fit for fit in fits if fit.joint == joint] for joint in range(self.n)]
+        groups += [[fit] for fit in fits if fit.joint < 0]
+        groups = [group for group in groups if group]
+        self._update_left()
+        for _ in range(_REFITS if len(groups) > 1 else 1):
+            for group in groups:
+                X, priors = self._together(group)
+                mine = X @ np.concatenate([fit.parameters for fit in group])
+                y = (self.left + mine)[:, :, self._used_by(group)].ravel()
+                X = X[:, :, self._used_by(group)].reshape(len(y), -1)
+                H = X.T @ X + np.diag(1.0 / priors**2)
+                solution = np.linalg.solve(H, X.T @ y)
+                for fit in group:
+                    fit.parameters, solution = np.split(solution, [len(fit.priors)])
+                self._update_left()
+        for group in groups:  # standard errors depend on the final residuals
+            used = self._used_by(group)
             variance = float((self.left[:, :, used] ** 2).sum()) / int(self.count[used].sum())
-            X = fit.columns.reshape(-1, fit.columns.shape[-1])
-            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / fit.priors**2))
-            if fit.kind != "unexplained":
-                scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
-                fit.errors = np.asarray(np.sqrt(np.diag(covariance) * scale), np.float64)
+            X, priors = self._together(group)
+            X = X.reshape(-1, X.shape[-1])
+            covariance = np.linalg.inv(X.T @ X + np.diag(1.0 / priors**2))
+            scale = _ROWS_PER_FACT * max(variance, _MIN_VARIANCE)
+            errors = np.sqrt(np.diag(covariance) * scale)
+            for fit in group:
+                fit.errors, errors = np.split(errors, [len(fit.priors)])
+
+    def _together(self, group: Sequence[_Fit]) -> tuple[Array, Array]:
+        columns = np.concatenate([fit.columns for fit in group], axis=-1)
+        return columns, np.concatenate([fit.priors for fit in group])
+
+    def _used_by(self, group: Sequence[_Fit]) -> Bools:
+        if group[0].joint >= 0:
+            return np.asarray(np.arange(self.n) == group[0].joint)
+        return np.ones(self.n, bool) if group[0].used is None else group[0].used
+
+    def _update_left(self) -> None:
+        self.left = self.y.copy()
+        for fit in [*self.undeclared, *self.fits]:
+            self.left -= fit.columns @ fit.parameters
+
+    def _unexplained_share(self, fit: _Fit) -> float:
+        others = [each for each in [*self.undeclared, *self.fits] if each is not fit
+                  and each.kind != "unexplained"]  # fmt: skip
+        y = self.y - sum((each.columns @ each.parameters for each in others), np.zeros_like(self.y))
+        used = np.arange(self.n) == fit.joint
+        if fit.joint < 0:
+            used = self._effects(fit) > MIN_EFFECT * self.found.scale
+            used = used & (True if fit.used is None else fit.used)
+        rows = self.edges.share(*fit.edges) > 0.5
+        sides = (fit.columns[:, :, used] != 0.0).any(axis=(1, 2, 3))
+        y, X = y[np.ix_(sides, rows, used)], fit.columns[np.ix_(sides, rows, used)]
+        y, X = np.moveaxis(y, 1, -1), np.moveaxis(X, 1, -2)  # rows last
+        return unexplained_share(
+            y.reshape(-1, y.shape[-1]), X.reshape(-1, *X.shape[-2:]), fit.priors
+        )
+
+    def _ratio(self, fit: _Fit) -> float:
+        # Size of a fit relative to the largest one, at the joint where it is largest.
+        effects = np.stack([self._effects(each) for each in self.fits])
+        largest = np.maximum(effects.max(axis=0), 1e-12)
+        return float((self._effects(fit) / largest).max())
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
         """Returns all explanations and `more`, joint by joint, in descending order of size."""
-        order = {name: k for k, name in enumerate([*self.found.robot.names, FLANGE, LINKS])}
+        order = {name: k for k, name in enumerate([*self.found.robot.names, *PLACES])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
-        found = [*more, *(self._explanation(fit) for fit in fits)]
+        found = [*more, *_one_per_side([self._explanation(fit) for fit in fits])]
         found.sort(key=lambda each: each.kind == "noise")  # last, as vibrations also cause noise
         return sorted(found, key=lambda each: order[each.joint])
 
@@ -536,7 +512,7 @@ class Search:
         # With joint torque control, the commanded torque is not that of the motor.
         is_far_better = not found.torque_control and after < _RESIDUAL_RATIO * by_sign
         for fit in self.fits:
-            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > _MIN_SIGN
+            is_sign = fit.kind == "gain" and abs(fit.parameters[0]) > MIN_SIGN
             if fit.joint != joint or fit.kind == "unexplained" or is_sign:
                 continue
             acts = known & (self.edges.share(*fit.edges) > 0.5)
@@ -573,39 +549,32 @@ class Search:
 
     def _explanation(self, fit: _Fit) -> Explanation:
         found, names = self.found, self.found.robot.names
-        kind, size, error = fit.kind, float(fit.parameters[0]), float(fit.errors[0])
-        is_revolute = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
-        unit = "Nm" if is_revolute else "N"
-        values: dict[str, float] = {}
         affected = self._effects(fit) > MIN_EFFECT * found.scale
         joints = np.array(names)[affected].tolist() if fit.joint < 0 else [names[fit.joint]]
-        if kind == "gain":
-            # Of two runs, the second may have the wrong sign.
-            kind = "sign" if abs(size) > _MIN_SIGN else "gain"
-            size, unit = 1.0 + (size if size < _MIN_SIGN else -size), ""
-        elif kind == "delay":
-            size, error, unit = fit.delay * size, fit.delay * error, "s"
-        elif kind == "friction":
-            values = {"viscous": float(fit.parameters[1])}
-        elif kind == "payload":
-            unit, mass = "kg", fit.parameters[0]
-            values = dict(zip("xyz", (fit.parameters[1:4] / mass).tolist(), strict=True))
-        elif kind == "masses":
-            size, error, unit = 100.0 * size, 100.0 * error, "%"
-        elif kind == "encoder" and fit.common is not None:
-            is_angle = found.robot.types[names.index(fit.common.place)] == "revolute"
-            scale, unit = (180.0 / np.pi, "deg") if is_angle else (1.0, "m")
-            size, error = scale * size, scale * error
-        elif kind == "unexplained":
-            effect = (fit.columns[..., 0] * self.sigma)[:, :, fit.joint].ravel()
-            size = float(effect[np.argmax(np.abs(effect))])
-        first, last = fit.edges
+        is_revolute = fit.joint < 0 or found.robot.types[fit.joint] == "revolute"
+        kind, part, confidence = fit.kind, fit.part, fit.confidence
+        alternatives = fit.alternatives
         place = names[fit.joint] if fit.common is None else fit.common.place
+        if kind == "gain" and abs(float(fit.parameters[0])) > MIN_SIGN:
+            kind = "sign"
+        if fit.effect is not None:
+            size = fit.effect.size(fit.parameters, fit.errors, fit.joint)
+            confidence = limited(confidence, self._unexplained_share(fit), self._ratio(fit))
+        if fit.effect is None or confidence < _MIN_CONFIDENCE:
+            torques = (fit.columns @ fit.parameters) * self.sigma
+            side, row, joint = np.unravel_index(np.argmax(np.abs(torques)), torques.shape)
+            size, place = Size(float(torques[side, row, joint]), np.nan, "Nm"), names[joint]
+            if fit.effect is not None:
+                alternatives = (_name(fit), *alternatives)
+                kind, part, confidence = "unexplained", _SIDES[side], 1.0 - confidence
+        unit = "N" if size.unit == "Nm" and not is_revolute else size.unit
+        first, last = fit.edges
         return Explanation(
-            place, kind, fit.part, size, unit, error,
-            fit.confidence, float(found.times[0] + 0.5 * first * found.step),
+            place, kind, part, size.size, unit, size.error,
+            confidence, float(found.times[0] + 0.5 * first * found.step),
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
-            first == 0, values, tuple(joints),
+            first == 0, size.values, tuple(joints),
+            alternatives=tuple(dict.fromkeys(each for each in alternatives if each != kind)),
         )  # fmt: skip
 
 
@@ -631,6 +600,43 @@ def _solved(H: Array, g: Array, inverse: Array, total: float, count: int) -> tup
     rest = total - float(2.0 * g @ parameters - parameters @ H @ parameters)
     variance = _ROWS_PER_FACT * max(rest / count, _MIN_VARIANCE)
     return parameters, np.sqrt(np.diag(covariance) * variance)
+
+
+def _similar(score: float, rivals: Sequence[tuple[float, _Fit]]) -> tuple[str, ...]:
+    # Names of other explanations with almost the same score, the best first.
+    ordered = sorted(rivals, key=lambda each: -each[0])
+    return tuple(dict.fromkeys(_name(fit) for each, fit in ordered if score - each < _SIMILAR))
+
+
+def _name(fit: _Fit) -> str:
+    if fit.effect is None:
+        return fit.kind
+    if fit.common is not None and fit.common.place not in PLACES:
+        return f"{fit.kind} at {fit.common.place}"
+    return f"{fit.kind} of the {fit.part}"
+
+
+def _one_per_side(explanations: Sequence[Explanation]) -> list[Explanation]:
+    # Several unexplained torques of a joint are one, with the time of all.
+    found: dict[tuple[str, str, str, int], Explanation] = {}
+    for k, each in enumerate(explanations):
+        is_known = each.kind != "unexplained"
+        key = each.joint, each.kind, each.part, k if is_known else -1
+        other = found.get(key)
+        if other is None:
+            found[key] = each
+            continue
+        first, second = sorted((each, other), key=lambda one: -abs(one.size))
+        ends = [one.end for one in (first, second)]
+        found[key] = replace(
+            first,
+            begin=min(first.begin, second.begin),
+            end=None if None in ends else max(end for end in ends if end is not None),
+            from_start=first.from_start or second.from_start,
+            joints=tuple(dict.fromkeys((*first.joints, *second.joints))),
+            alternatives=tuple(dict.fromkeys((*first.alternatives, *second.alternatives))),
+        )
+    return list(found.values())
 
 
 def _odds(scores: Sequence[float]) -> float:

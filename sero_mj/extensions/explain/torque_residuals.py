@@ -17,8 +17,7 @@ only the link side.
 
 Sources: Gautier, Dynamic identification of robots with power model, ICRA 1997 (filtering of torques
 and regressors). Khalil and Dombre, Modeling, Identification and Control of Robots, 2002, chapter
-12. Atkeson, An, Hollerbach, Estimation of inertial parameters of manipulator loads and links, IJRR
-5(3), 1986 (torques of rigid bodies as linear functions of ten parameters).
+12.
 """
 
 from __future__ import annotations
@@ -32,11 +31,17 @@ import numpy as np
 from ...base.errors import Problem, UsageError
 from ...base.frames import Array, Bools
 from ...robots.assemble.friction_torques import SLOW
-from ...robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
+from ...robots.assemble.robot_dynamics import RobotDynamics, robot_dynamics
 from ...robots.declared.robot import SerialRobot
-from ...simulate.control.robot_model import RobotModel
 from ...simulate.runs.run_log import RunLog, compared_signal
 from ...study.align import Pair, at_times
+from .link_torques import (
+    body_torques,
+    link_torques,
+    mass_matrices,
+    torques_by_angle,
+    torques_by_gravity,
+)
 
 WINDOW = 0.016  # s, standard deviation of the low-pass filter: 10 Hz
 _SUPPORT = 4.0  # half width of the filter kernel in standard deviations
@@ -49,15 +54,15 @@ _SATURATED = 0.95  # share of the torque limit above which a drive may be satura
 _NOISE_CORRELATION = -0.35  # correlation of second differences below which they are noise
 _STOP = 0.005  # distance to an end stop as a share of the joint's range
 _MIN_SCALE = 1e-3  # Nm or N, scale of joints without torque limit and torque
-_DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
 # An angle jumps if a second difference exceeds this multiple of this quantile, and the sum with the
 # next one is below this share.
 _JUMP, _QUANTILE, _RETURN_SHARE = 20.0, 0.99, 0.2
-_ANGLE_STEP = 1e-4  # rad or m, step of the numerical derivative of torques by angles
 
 # Delays of sensors and drives in s; effects of other delays are interpolated.
 DELAYS = 0.002 * np.arange(1, 51)
-PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
+OF_MOTORS = ("motor_inertias", "viscous_friction", "coulomb_friction")  # keys of `[dynamics]`
+_FIT_MARGIN = 1.2  # ratio of residuals above which undeclared friction is significant
+_FIT_ROUNDS, _HUBER = 20, 2.0  # of a robust fit; standard deviations with full weight
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +72,7 @@ class Torques:
     Attributes:
         model: link torques of the model.
         rates: rates of change of the measured or commanded torques (the faster of the two), Nm/s.
+        curvature: second derivatives of the measured torques, Nm/s2.
         requested: torques requested by joint torque control within the limits of the drives,
             without friction compensation.
         delivered: torques of the drives, from measured torques and the motion of the motors.
@@ -80,6 +86,7 @@ class Torques:
     commanded: Array
     model: Array
     rates: Array
+    curvature: Array
     requested: Array
     delivered: Array
     late_model: Array
@@ -142,6 +149,8 @@ class TorqueResiduals:
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
         no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
+        undeclared: keys of `[dynamics]` that are not declared. The friction and motor inertia of
+            `motor` are then fitted to this run, so that only their changes are visible.
     """
 
     robot: SerialRobot
@@ -157,6 +166,7 @@ class TorqueResiduals:
     coulomb: Array
     torque_control: bool
     no_model: str
+    undeclared: tuple[str, ...] = ()
 
     @property
     def has_model(self) -> bool:
@@ -165,7 +175,17 @@ class TorqueResiduals:
     @cached_property
     def by_angle(self) -> Array:
         """Derivatives of the model torques with respect to the joint values, shape (K, n, n)."""
-        return _torques_by_angle(self.robot, *self.motion.links)
+        return torques_by_angle(self.robot, *self.motion.links)
+
+    @cached_property
+    def by_acceleration(self) -> Array:
+        """Mass matrices of the links at the filtered angles, shape (K, n, n)."""
+        return mass_matrices(self.robot, self.motion.links[0])
+
+    @cached_property
+    def by_gravity(self) -> Array:
+        """Derivatives of the model torques with respect to gravity, shape (K, n, 3), kg m."""
+        return torques_by_gravity(self.robot, self.motion.links[0])
 
     @property
     def step(self) -> float:
@@ -215,7 +235,7 @@ def torque_residuals(
             expected=f"at least {least:.2g} s",
         )
         raise UsageError(problem)
-    model = _link_torques(robot, q, v, a)
+    model = link_torques(robot, q, v, a)
     dynamics = robot_dynamics(robot)
     smooth = low_pass(v + a * step)
     speed = np.abs(smooth)
@@ -228,13 +248,7 @@ def torque_residuals(
     acceleration = low_pass(a)
     if robot.elastic_joints:  # the motor differs from the link by the deflection of the spring
         acceleration = acceleration + low_pass.second(measured) / dynamics.joint_stiffness
-    free = np.where(_at_stops(robot, q), np.nan, measured)
-    coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
-    free[:, [name in coupled for name in robot.names]] = np.nan
-    apparent = robot.torque_control.motor_inertias
-    if apparent is None:
-        apparent = robot.torque_control.inertia_ratio * dynamics.motor_inertias
-    apparent = np.broadcast_to(apparent, robot.n)
+    apparent = _apparent_inertias(robot, dynamics)
     lag = commanded - measured
     friction = dynamics.viscous_friction * smooth + dynamics.coulomb_friction * signs
     inertial = dynamics.motor_inertias * acceleration + friction
@@ -247,27 +261,34 @@ def torque_residuals(
     looped = low_pass(np.where(saturated, np.nan, lag)) - apparent * acceleration
     for each in (plain, looped):
         each[reverses] = np.nan
+    undeclared = tuple(key for key in OF_MOTORS if key in dynamics.estimated)
+    effects = dict(zip(OF_MOTORS, (acceleration, smooth, signs), strict=True))
+    plain = _without_fit(plain, [effects[key] for key in undeclared])
+    looped = _without_fit(looped, [effects[key] for key in undeclared if key == OF_MOTORS[0]])
     scale = _scale(robot, measured)
     if torque_control is None:
-        torque_control = _is_smaller(looped / scale, plain / scale)
+        # The fit of more parameters is always closer.
+        margin = _FIT_MARGIN if undeclared else 1.0
+        torque_control = _is_smaller(looped / scale, margin * plain / scale)
     rough, windows = _roughness(measured, commanded, step)
     torques = Torques(
         measured=low_pass(measured),
         commanded=low_pass(commanded),
         model=low_pass(model),
         rates=np.fmax(*(np.abs(low_pass.first(each)) for each in (measured, commanded))),
+        curvature=low_pass.second(measured),
         requested=low_pass(np.clip(requested, -limit, limit)),
         delivered=low_pass(measured) + inertial,
         late_model=np.stack([low_pass(_later(model, step, each)) for each in DELAYS]),
         late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
-        payload=low_pass(_payload_torques(robot, q, v, a)),
+        payload=low_pass(body_torques(robot, q, v, a)),
     )
     links = np.stack([low_pass(each) for each in (q, v, a)])
     held = tuple(_held(at, each) for each in measured.T)
     return TorqueResiduals(
         robot=robot,
         times=low_pass.times,
-        link=low_pass(free) - torques.model,
+        link=low_pass(_only_of_links(robot, q, measured)) - torques.model,
         motor=looped if torque_control else plain,
         lag=low_pass(lag),
         torques=torques,
@@ -278,6 +299,7 @@ def torque_residuals(
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
+        undeclared=undeclared,
     )
 
 
@@ -325,6 +347,44 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
         return signals, step
     sampled = {key: at_times(times, values, even) for key, values in signals.items()}
     return {**sampled, "t": even[:, None]}, step
+
+
+def _apparent_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> Array:
+    # Motor inertias with joint torque control, (n,).
+    apparent = robot.torque_control.motor_inertias
+    if apparent is None:
+        apparent = robot.torque_control.inertia_ratio * dynamics.motor_inertias
+    return np.broadcast_to(apparent, robot.n)
+
+
+def _only_of_links(robot: SerialRobot, q: Array, measured: Array) -> Array:
+    # Measured torques; NaN at end stops, and for coupled joints, which share a drive.
+    free = np.where(_at_stops(robot, q), np.nan, measured)
+    coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
+    free[:, [name in coupled for name in robot.names]] = np.nan
+    return free
+
+
+def _without_fit(residuals: Array, columns: Sequence[Array]) -> Array:
+    # Residuals (K, n) without the best multiples of columns (K, n), joint by joint. The fit is
+    # robust (Huber 1964), because a fault may act during a part of the run.
+    result = residuals.copy()
+    for joint in range(residuals.shape[1] if columns else 0):
+        X = np.stack([each[:, joint] for each in columns], axis=-1)
+        rows = np.isfinite(residuals[:, joint]) & np.isfinite(X).all(axis=1)
+        if rows.sum() <= _MIN_ROWS:
+            continue
+        X, y = X[rows], residuals[rows, joint]
+        lengths = np.maximum(np.linalg.norm(X, axis=0), 1e-12)
+        weights = np.ones(len(y))
+        for _ in range(_FIT_ROUNDS):
+            root = np.sqrt(weights)[:, None]
+            phi = np.linalg.lstsq(root * X / lengths, root[:, 0] * y, rcond=1e-6)[0]
+            left = np.abs(y - X / lengths @ phi)
+            spread = max(float(np.median(left)) / 0.6745, 1e-12)
+            weights = np.minimum(1.0, _HUBER * spread / np.maximum(left, 1e-12))
+        result[rows, joint] = y - X / lengths @ phi
+    return result
 
 
 class _LowPass:
@@ -376,18 +436,6 @@ class _LowPass:
         return np.asarray(windows @ self._kernel)
 
 
-def _link_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    # M(q) a + C(q, v) v + g(q) of the links alone, (T, n), Nm or N.
-    model = RobotModel.of(robot.model_copy(update={"mount": None, "free_base": False}))
-    torques, less = np.zeros((len(q), robot.n)), np.zeros(robot.n)
-    for k in np.flatnonzero(np.isfinite(q + v + a).all(axis=1)):
-        model.update(q[k], v[k])
-        model.write_inverse_dynamics(v[k], a[k], torques[k], less)
-        torques[k] -= less
-    torques[~np.isfinite(q + v + a).all(axis=1)] = np.nan
-    return torques
-
-
 def _jumps(a: Array) -> Bools:
     # Rows with jumps in the second differences `a` (T, n) of angles, as when an encoder slips or is
     # reset: two large values of opposite sign, because the velocity stays the same.
@@ -401,66 +449,6 @@ def _jumps(a: Array) -> Bools:
     found[:-1] |= large & back
     found[1:] |= large & back
     return found
-
-
-def _torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    # Derivatives of `_link_torques` by each angle, by central differences, (K, n, n).
-    found = np.empty((len(q), robot.n, robot.n))
-    for j, shift in enumerate(_ANGLE_STEP * np.eye(robot.n)):
-        more, less = (_link_torques(robot, q + side * shift, v, a) for side in (1.0, -1.0))
-        found[:, :, j] = (more - less) / (2.0 * _ANGLE_STEP)
-    return found
-
-
-def _payload_torques(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
-    # Link torques per unit of the ten parameters of a body at the flange, (T, n, 10). For mass m,
-    # first moment h = m c and inertia I about the flange, angular velocity w, angular acceleration
-    # u, and acceleration s of the flange including gravity, all in flange axes:
-    # force m s + u x h + w x (w x h), moment h x s + I u + w x (I w).
-    table, base, flange = robot.kinematics, robot.base_frame, robot.T_n_flange
-
-    def jacobian(angles: Array) -> Array:
-        return table.jacobian(angles, base, flange, robot.flange_link)
-
-    J = jacobian(q)
-    change = (jacobian(q + _DIFFERENCE_STEP * v) - jacobian(q - _DIFFERENCE_STEP * v)) / (
-        2.0 * _DIFFERENCE_STEP
-    )
-    velocity = np.einsum("tij,tj->ti", J, v)
-    acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
-    acceleration[:, 2] += GRAVITY
-    R = (table.frames(q, base)[..., robot.flange_link, :, :] @ flange)[:, :3, :3]
-
-    def in_flange(vectors: Array) -> Array:
-        return np.asarray(np.einsum("tji,tj->ti", R, vectors))
-
-    moving = acceleration[:, :3], acceleration[:, 3:], velocity[:, 3:]
-    s, u, w = (in_flange(each) for each in moving)
-    wrench = np.zeros((len(q), 6, 10))
-    wrench[:, :3, 0] = s
-    wrench[:, :3, 1:4] = _cross(u) + _cross(w) @ _cross(w)
-    wrench[:, 3:, 1:4] = -_cross(s)
-    wrench[:, 3:, 4:] = _tensor_times(u) + _cross(w) @ _tensor_times(w)
-    turned = np.concatenate([np.swapaxes(R, 1, 2) @ J[:, :3], np.swapaxes(R, 1, 2) @ J[:, 3:]], 1)
-    return np.asarray(np.swapaxes(turned, 1, 2) @ wrench)
-
-
-def _cross(x: Array) -> Array:
-    # Matrices of the cross product with x, (T, 3, 3).
-    result = np.zeros((len(x), 3, 3))
-    result[:, 0, 1], result[:, 0, 2] = -x[:, 2], x[:, 1]
-    result[:, 1, 0], result[:, 1, 2] = x[:, 2], -x[:, 0]
-    result[:, 2, 0], result[:, 2, 1] = -x[:, 1], x[:, 0]
-    return result
-
-
-def _tensor_times(x: Array) -> Array:
-    # Matrices that map (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) to I x, (T, 3, 6).
-    result = np.zeros((len(x), 3, 6))
-    for row, columns in enumerate(((0, 3, 4), (3, 1, 5), (4, 5, 2))):
-        for axis, column in enumerate(columns):
-            result[:, row, column] = x[:, axis]
-    return result
 
 
 def _roughness(measured: Array, commanded: Array, step: float) -> tuple[Array, Array]:

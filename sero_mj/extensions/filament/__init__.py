@@ -1,5 +1,5 @@
-"""Renders with MuJoCo's Filament renderer: soft shadows, occlusion and materials on Vulkan.
+"""Renders images with soft shadows, occlusion and materials, with the Filament renderer of MuJoCo.
 
-In: the scene of the classic renderer, whose geoms become objects of Filament. Out: pixels.
+In: an `MjvScene`, whose geoms become objects of Filament. Out: pixels.
 Open first: `renderer.py`. `probe.py` checks whether Filament works on this machine.
 """

@@ -1,6 +1,6 @@
-"""Draws anti-aliased triangles in the image plane, for leaders of panels with thin tips.
+"""Draws anti-aliased triangles into images, for the thin tips of billboard leaders.
 
-Filament renders images without multisampling, so tips that are thinner than a pixel would look
+Filament renders images without multisampling, so that tips that are thinner than a pixel would look
 like dashes.
 """
 
@@ -14,11 +14,11 @@ from ...viewer.image.image_files import Pixels
 
 _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
-_LAID_OUT = 2.0  # maximum depth of leaders in units of the near plane; see `viewer.decor.panels`
+_LAID_OUT = 2.0  # maximum depth of leaders, in units of the near plane distance
 
 
 def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
-    """Returns a mask (k,) of the geoms that are triangles just behind the near plane."""
+    """Returns a mask (k,) of the geoms that are leaders: triangles just behind the near plane."""
     forward = np.array(eye.forward, float)
     depth = (rows["pos"].astype(float) - np.array(eye.pos, float)) @ forward
     near = (depth > 0) & (depth < _LAID_OUT * eye.frustum_near)
@@ -26,7 +26,7 @@ def is_flat(rows: np.ndarray, eye: mujoco.MjvGLCamera) -> Bools:
 
 
 def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: int) -> Array:
-    """Returns the corners of triangles in an image, shape (k, 3, 2), pixels, y down."""
+    """Projects the corners of triangle geoms to pixels with y down, shape (k, 3, 2)."""
     first = rows["pos"].astype(float)
     edges = rows["mat"].astype(float)[:, :, :2] * rows["size"].astype(float)[:, None, :2]
     world = np.stack([first, first + edges[:, :, 0], first + edges[:, :, 1]], axis=1)
@@ -41,7 +41,7 @@ def corners_of(rows: np.ndarray, eye: mujoco.MjvGLCamera, width: int, height: in
 
 
 def blend(image: Pixels, corners: Array, rgba: Array) -> None:
-    """Draws triangles into an image in place, weighted by the covered fraction of each pixel.
+    """Draws anti-aliased triangles into an image in place.
 
     Args:
         corners: corners of the triangles, shape (k, 3, 2), pixels, y down.

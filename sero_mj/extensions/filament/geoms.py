@@ -1,8 +1,8 @@
-"""`GeomPool`: the geoms of an `MjvScene` as objects of a Filament scene.
+"""`GeomPool`: shows the geoms of an `MjvScene` as objects of a Filament scene.
 
-Every geom is a separate object. Geoms of the model have objects with their own meshes, and all
-other geoms use a pool of objects for each type. If decor were combined into meshes, one mesh for
-each color would have to be uploaded in every frame, because a material has only one color.
+Each geom is a separate object. Geoms of the model have objects with their own meshes, and all other
+geoms use a pool of objects for each type. If arrows and axes were combined into meshes, one mesh
+for each color would be uploaded in each frame, because a material has only one color.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ _RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _ROLES = int(mujoco.mjtTextureRole.mjNTEXROLE)
 _CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-# Fraction of a color that depends on light. The rest is emitted, so decor looks almost the same in
-# any light.
+# Fraction of the color of arrows and axes that depends on light. The rest is emitted, so that they
+# look almost the same in any light.
 _DARK = 1 / 256
-_REFLECTANCE = 0.08  # per specular: MuJoCo's default specular of 0.5 gives 0.04, as for plastic
+_REFLECTANCE = 0.08  # reflectance per specular: the default specular of 0.5 gives 0.04 (plastic)
 _LIT = 0.7  # fraction of the color of doubles that depends on light; the rest is emitted
-# Filament compresses colors near white: displayed linear color, and the light needed for it.
-# Source: grays and colors rendered by MuJoCo 4.0.0, to 2 of 255.
+# Filament compresses colors near white. Rows: displayed linear color, and the light it requires.
+# Source: grays and colors rendered by MuJoCo 4.0.0, with an accuracy of 2 of 255.
 _NEAR_WHITE = (
     (0.0, 0.83, 0.871, 0.905, 0.931, 0.992, 1.0),
     (0.0, 0.83, 0.9, 0.95, 1.0, 1.1, 1.3),
@@ -48,7 +48,7 @@ _FAINTEST = 0.01  # minimum opacity
 
 
 class ModelGeoms:
-    """The geoms of a model that receive light, with the model's meshes and textures."""
+    """The objects of the geoms of a model that receive light, with their meshes and textures."""
 
     def __init__(self, context: Any, scene: Any, model: mujoco.MjModel) -> None:
         module = filament()
@@ -71,7 +71,7 @@ class ModelGeoms:
             self._objects.update(data)
 
     def material(self, geom: int, row: Any) -> Any:
-        """Returns the material of a geom, with the color of a scene's row."""
+        """Returns the material of a geom of the model, with the color of a row of the scene."""
         material = self.geoms[geom].get_material()
         material.color = seen_rgba(row)
         image = self._images[geom]
@@ -95,10 +95,11 @@ class ModelGeoms:
 
 
 class GeomPool:
-    """Objects of a Filament scene for the geoms of an `MjvScene`.
+    """The objects of a Filament scene that show the geoms of an `MjvScene`.
 
     Args:
-        doubles: mask (ngeom,) of the shown model's geoms that belong to doubles.
+        models: shown model, optionally followed by the model of the surroundings.
+        doubles: mask of the geoms of the shown model that belong to doubles, shape (ngeom,).
         is_dark: whether the background of transparent geoms is mostly dark.
     """
 
@@ -114,8 +115,8 @@ class GeomPool:
         self._module, self._context, self._scene = filament(), context, scene
         self._models = [ModelGeoms(context, scene, model) for model in models]
         self._doubles, self._is_dark = doubles, is_dark
-        # The key consists of the type, the number of the mesh or -1, and whether objects cast
-        # shadows. Shadow casting cannot be changed after an object is created.
+        # Keys consist of the geom type, the number of the mesh or -1, and whether objects cast
+        # shadows, which cannot be changed after an object is created.
         self._pool: dict[tuple[int, int, bool], list[Any]] = {}
         self._shown: set[Any] = set()
         self._looks: dict[Any, tuple[bytes, float, int]] = {}  # last material of each object
@@ -134,7 +135,7 @@ class GeomPool:
         self._models[0].follow(data)
 
     def update(self, rows: np.ndarray) -> None:
-        """Shows exactly the geoms of a scene."""
+        """Shows exactly the geoms in an array of type `GEOM`."""
         shown: set[Any] = set()
         used: Counter[tuple[int, int, bool]] = Counter()
         model = self._models[0].model
@@ -231,7 +232,7 @@ def opacity_of(alpha: float) -> float:
 
 
 def seen_rgba(row: Any) -> Array:
-    """Returns the color of a geom's row, with the effective opacity in the classic renderer."""
+    """Returns the color of a geom with its effective opacity in the classic renderer."""
     rgba: Array = row["rgba"].copy()
     rgba[3] = opacity_of(rgba[3])
     return rgba
@@ -239,10 +240,10 @@ def seen_rgba(row: Any) -> Array:
 
 @lru_cache(maxsize=4096)
 def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], float]:
-    """Returns the light (3,) and opacity that look like a color in the classic renderer.
+    """Returns the light (3,) and opacity with which Filament shows a color of the classic renderer.
 
-    The classic renderer mixes displayed colors. Filament mixes light, so the same opacity looks
-    paler. The result minimizes the difference over gray backgrounds, which are mostly dark if
+    The classic renderer mixes displayed colors, but Filament mixes light, so that the same opacity
+    looks paler. The result minimizes the difference over gray backgrounds, which are mostly dark if
     `is_dark` is true.
     """
     colour, alpha = np.array(rgba[:3]), opacity_of(rgba[3])
@@ -261,12 +262,12 @@ def glow(rgba: tuple[float, ...], is_dark: bool) -> tuple[tuple[float, ...], flo
 
 
 def finish(row: Any) -> tuple[float, float]:
-    """Returns Filament's specular color and glossiness, 0 to 1, for a geom's row.
+    """Returns the specular color and the glossiness, 0 to 1, of a geom in Filament.
 
-    MuJoCo's default specular of 0.5 becomes the reflectance of plastic at normal incidence, 0.04.
-    The Blinn-Phong exponent n is MuJoCo's shininess times 128. It is converted to the width alpha
-    of a microfacet lobe by alpha^2 = 2 / (n + 2). Filament's roughness is sqrt(alpha), and its
-    glossiness is 1 - roughness.
+    The default specular of MuJoCo, 0.5, becomes the reflectance of plastic at normal incidence,
+    0.04. The Blinn-Phong exponent n is 128 times the shininess in MuJoCo. It is converted to the
+    width alpha of a microfacet lobe by alpha^2 = 2 / (n + 2). The roughness in Filament is
+    sqrt(alpha), and the glossiness is 1 - roughness.
 
     Source: Walter et al., Microfacet Models for Refraction, 2007.
     """
@@ -275,7 +276,7 @@ def finish(row: Any) -> tuple[float, float]:
 
 
 def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
-    """Returns a mesh of a model as a mesh of Filament, with separate corners for each face."""
+    """Creates a Filament mesh from a mesh of a model, with separate corners for each face."""
     module = filament()
     first, count = int(model.mesh_faceadr[index]), int(model.mesh_facenum[index])
     faces = model.mesh_face[first : first + count].ravel()
@@ -306,17 +307,18 @@ def upload_mesh(context: Any, model: mujoco.MjModel, index: int) -> Any:
 
 
 def _tangents(normals: Array) -> Array:
-    # Quaternions (k, 4), x, y, z, w, that rotate z to unit normals (k, 3).
+    # The returned quaternions (x, y, z, w), shape (k, 4), rotate z to the unit normals (k, 3).
     x, y, z = normals.T.astype(float)
     turned = np.stack([-y, x, np.zeros_like(z), 1.0 + z], axis=1)
-    turned[z < -1.0 + 1e-6] = (1.0, 0.0, 0.0, 0.0)  # half a turn about any axis across
+    turned[z < -1.0 + 1e-6] = (1.0, 0.0, 0.0, 0.0)  # rotation by 180 deg about x
     return np.asarray(turned / np.linalg.norm(turned, axis=1, keepdims=True))
 
 
 def own_texture(context: Any, model: mujoco.MjModel, index: int) -> Any | None:
-    """Returns a texture that Filament interprets as displayed colors, or None without colors.
+    """Creates a Filament texture from a texture of a model, or returns None if it has no colors.
 
-    By default, Filament interprets textures as linear light, which makes them look pale.
+    The texture contains displayed colors. By default, Filament interprets textures as linear light,
+    which makes them look pale.
     """
     module = filament()
     channels = int(model.tex_nchannel[index])

@@ -1,4 +1,4 @@
-"""`Filament`: adds MuJoCo's Filament renderer as a value of `--renderer`."""
+"""`Filament`: adds the Filament renderer of MuJoCo as a value of `--renderer`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .renderer import FilamentRenderer
 
 
 class Filament(Renderer):
-    """Soft shadows, occlusion and materials, on Vulkan."""
+    """The Filament renderer, with soft shadows, occlusion and materials, on Vulkan."""
 
     title: ClassVar[str] = "Filament"
     is_for_fine: ClassVar[bool] = True
@@ -28,7 +28,6 @@ class Filament(Renderer):
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[FilamentRenderer, AddedSurroundings | None]:
-        """Returns the renderer and its surroundings, which are a separate model without OpenGL."""
         surroundings = added_surroundings(world, None)
         renderer = FilamentRenderer(
             world.model, width, height, look=world.scene.view.look, doubles=_doubles(world),

@@ -1,4 +1,4 @@
-"""Lights Filament's images with the sky and the lights of an `MjvScene`, and sets view options."""
+"""Lights and view options of Filament: the sky, and the lights of an `MjvScene`."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from .environment import environment
 
 log = logging.getLogger(__name__)
 
-# cd/m^2 displayed as white by Filament's camera (f/16, 1/125 s, ISO 100).
-# Source: Filament's documentation, 8.1.2: exposure = 1 / (1.2 * 2^EV100), EV100 = log2(N^2 / t).
+# Luminance in cd/m^2 that the camera of Filament (f/16, 1/125 s, ISO 100) displays as white.
+# Source: documentation of Filament, 8.1.2: exposure = 1 / (1.2 * 2^EV100), EV100 = log2(N^2 / t).
 _WHITE = 1.2 * 16**2 * 125
 PREFIX = "filament."
-# Linear tone mapping with clipping displays colors as declared. MuJoCo 4.0.0 doubles the
-# brightness, which the exposure of -1 stop compensates.
+# Linear tone mapping with clipping displays colors as declared. An exposure of -1 stop compensates
+# the brightness, which MuJoCo 4.0.0 doubles.
 _OPTIONS: dict[str, str | float] = {
     "cg.tone_mapping": "linear",
     "cg.exposure": -1.0,
     "bloom.enabled": 0.0,
     "ao.enabled": 1.0,
 }
-# Shadows whose softness grows with distance (`pcss`) double the software rendering time of a frame.
+# Shadows whose softness grows with distance (`pcss`) double the render time of software renderers.
 # Fewer occlusion samples save 3 % and look the same.
 _QUICK: dict[str, str | float] = {"shadows.type": "pcf", "ao.quality": "low"}
 _BY_QUALITY: dict[Quality, dict[str, str | float]] = {
@@ -36,8 +36,8 @@ _BY_QUALITY: dict[Quality, dict[str, str | float]] = {
     "normal": _QUICK,
     "fine": {"shadows.type": "pcss"},
 }
-_SHADOW_MAP = 2048  # side of each of the four cascades, pixels
-_FAR = 20.0  # distance of additional directional lights (rendered as spotlights), in model extents
+_SHADOW_MAP = 2048  # side of each of the four shadow maps (cascades), pixels
+_FAR = 20.0  # distance of directional lights that are rendered as spotlights, in model extents
 _SPOT, _DIRECTIONAL, _POINT, _IMAGE = (
     int(getattr(mujoco.mjtLightType, f"mjLIGHT_{name}"))
     for name in ("SPOT", "DIRECTIONAL", "POINT", "IMAGE")
@@ -66,7 +66,7 @@ _KNOWN = frozenset(
     | {"clear_color"}
 )
 
-_SIZES = {  # number of values of each option that is not a scalar
+_SIZES = {  # numbers of values of the options that are not scalars
     **dict.fromkeys(("clear_color", "fog.color"), 3),
     **{f"cg.{name}": 3 for name in ("slope", "offset", "power")},
     **{f"cg.{name}": 3 for name in ("shadow_gamma", "mid_point", "highlight_scale")},
@@ -83,7 +83,7 @@ def options_model(
     because web pages also read it.
 
     Args:
-        has_occlusion: whether ambient occlusion is allowed. False overrides the model's option.
+        has_occlusion: whether ambient occlusion is allowed. False overrides the option of a model.
     """
     spec = mujoco.MjSpec()
     own = _own_options(model)
@@ -132,7 +132,7 @@ def _own_options(model: mujoco.MjModel) -> dict[str, Any]:
 
 
 class SceneLights:
-    """Manages the lights of a Filament scene: the sky and the lights of an `MjvScene`."""
+    """The lights of a Filament scene: the sky, and the lights of an `MjvScene`."""
 
     def __init__(
         self, context: Any, scene: Any, model: mujoco.MjModel, look: str, palette: Palette
@@ -148,7 +148,7 @@ class SceneLights:
             sampler_type=module.SamplerType.TEXTURE_CUBE,
             color_space=module.ColorSpace.COLORSPACE_AUTO,
         )  # fmt: skip
-        # The texture must exist as long as a light or material refers to it.
+        # The texture must exist as long as a light refers to it.
         self._texture = upload(context, config, environment(look, palette))
         params = module.LightParams(
             type=module.LightType.LIGHT_IMAGE, texture=self._texture, intensity=_WHITE
@@ -167,7 +167,7 @@ class SceneLights:
             share = np.array(light.diffuse, float)
             level = float(share.max()) or 1.0
             illuminance = self._palette.physical.key * np.pi * _WHITE * level / self._palette.key
-            if kind == _DIRECTIONAL and has_directional:  # Filament supports only one
+            if kind == _DIRECTIONAL and has_directional:  # Filament has only one directional light
                 kind, distance = _SPOT, _FAR * self._extent
                 place = self._centre - distance * towards
             distance = max(float(np.linalg.norm(place - self._centre)), 0.1)
@@ -213,7 +213,7 @@ class SceneLights:
 
 
 def upload(context: Any, config: Any, data: bytes) -> Any:
-    """Returns a new Filament texture with a copy of an image."""
+    """Creates a Filament texture with a copy of an image."""
     module = filament()
     texture, image = context.create_texture(config), module.TextureData()
     image.set_image(data)

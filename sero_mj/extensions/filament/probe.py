@@ -1,7 +1,7 @@
-"""Checks whether MuJoCo's Filament renderer works on this machine, and stores the result.
+"""Checks whether the Filament renderer works on this machine, and stores the result.
 
 Filament ends the process if the Vulkan loader or a driver is missing, or if an image is too large
-for the driver. Therefore a separate process renders a test image first.
+for the driver. Therefore, a separate process renders a test image first.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ log = logging.getLogger(__name__)
 
 # Debian and Ubuntu packages of the Vulkan loader and of drivers, including a software driver.
 PACKAGES = "libvulkan1 mesa-vulkan-drivers"
-ALWAYS = 4096  # image side that every Vulkan 1.0 driver supports, pixels
-_TRIAL_SIDE = 64  # pixels
-_TIMEOUT = 120.0  # s; for the first image, a driver compiles its shaders
+ALWAYS = 4096  # image side that all Vulkan 1.0 drivers support, pixels
+_TRIAL_SIDE = 64  # side of the test image, pixels
+_TIMEOUT = 120.0  # maximum time in s for the test image, for which the driver compiles its shaders
 _DRIVERS = tuple(
     Path(folder) / "vulkan" / "icd.d" for folder in ("/usr/share", "/usr/local/share", "/etc")
 )
@@ -37,10 +37,10 @@ _CHOICES = ("VK_DRIVER_FILES", "VK_ICD_FILENAMES", "VK_LOADER_DRIVERS_SELECT", "
 
 
 def filament_problem(width: int = _TRIAL_SIDE, height: int = _TRIAL_SIDE) -> str | None:
-    """Returns the reason why Filament cannot render images of this size, or None if it can.
+    """Returns why Filament cannot render images of a size in pixels, or None if it can.
 
-    The first call takes seconds. Later calls read the result from the user's cache folder, until
-    MuJoCo, the loader or a driver changes.
+    The first call takes seconds. Later calls read the result from the cache folder of the user,
+    until MuJoCo, the Vulkan loader or a driver changes.
     """
     if max(width, height) <= ALWAYS:
         width = height = _TRIAL_SIDE
@@ -93,7 +93,7 @@ def _try(width: int, height: int) -> str | None:
 
 
 def reason_of(stderr: str, status: int) -> str:
-    """Returns the reason why the test process ended, in one line."""
+    """Returns in one line why the test process failed, from its error output and exit status."""
     lines = [line.strip() for line in stderr.splitlines() if line.strip()]
     found = [line.partition("reason:")[2].strip() for line in lines if "reason:" in line]
     found = found or [line for line in lines if re.match(r"[\w.]*(Error|Exception)\b", line)]
@@ -104,7 +104,7 @@ def reason_of(stderr: str, status: int) -> str:
 
 
 def draw_trial(width: int, height: int) -> None:
-    """Renders a red sphere. Filament ends this process if it cannot render.
+    """Renders a test image of a red sphere. If Filament cannot render it, this process ends.
 
     Raises:
         RenderError: this version of MuJoCo has no Filament renderer, or the image is empty.
@@ -149,5 +149,5 @@ def _write(known: dict[str, str | None]) -> None:
         temporary = file.with_suffix(f".{os.getpid()}")
         temporary.write_text(json.dumps(known, indent=1), encoding="utf-8")
         temporary.replace(file)
-    except OSError as error:  # the test is repeated next time
+    except OSError as error:  # the test is repeated in the next process
         log.debug("%s: %s", file, error)

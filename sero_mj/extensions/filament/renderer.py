@@ -1,7 +1,7 @@
-"""`FilamentRenderer`: renders an `MjvScene` with Filament instead of MuJoCo's classic renderer.
+"""`FilamentRenderer`: renders an `MjvScene` with Filament instead of the classic renderer.
 
-It renders the same scene, with the same camera, geoms, lights and flags. Call
-`probe.filament_problem` first, because Filament ends the process if it cannot render.
+The camera, geoms, lights and flags are those of the scene. Call `probe.filament_problem` first,
+because Filament ends the process if it cannot render.
 """
 
 from __future__ import annotations
@@ -35,16 +35,17 @@ _FLAGS = mujoco.mjtRndFlag
 
 
 class FilamentRenderer:
-    """Renders a scene of MuJoCo into arrays.
+    """A renderer that draws an `MjvScene` into arrays with Filament.
 
     Args:
-        doubles: mask (ngeom,) of geoms of doubles, which emit light; None for no doubles.
+        look: `light` or `dark`, the look of the scene.
+        doubles: mask of geoms of doubles, which emit light, shape (ngeom,); None for no doubles.
         surroundings: model of a floor and a sky; None if the shown model has its own.
-        quality: `draft` has no occlusion, `fine` has the softest shadows.
-        frames: approximate number of frames to be rendered. With occlusion, Mesa's software
-            renderer (22.3) compiles a shader for every frame and leaks 1 MB each time. With this
-            renderer, occlusion is off from the start if `frames` exceeds `MAX_OCCLUDED`, and is
-            otherwise switched off after `MAX_OCCLUDED` frames.
+        quality: `draft` for images without occlusion, or `fine` for the softest shadows.
+        frames: approximate number of frames that will be rendered. With occlusion, the software
+            renderer of Mesa (22.3) compiles a shader for each frame and leaks 1 MB each time. This
+            driver renders occlusion in at most `MAX_OCCLUDED` frames, and not at all if `frames`
+            is larger.
 
     Attributes:
         driver: name of the Vulkan device.
@@ -71,7 +72,7 @@ class FilamentRenderer:
         self._size = (width, height)
         config = module.ContextConfig()
         if sys.platform == "linux":
-            # OpenGL requires a display.
+            # OpenGL would require a display.
             config.graphics_api = module.GraphicsApi.GRAPHICS_API_VULKAN
         palette = PALETTES[look]
         self._model, self._quality, self._drawn = model, quality, 0

@@ -1,4 +1,4 @@
-"""`kind = "franka"`: a libfranka client controls a simulated robot over FCI."""
+"""The controller kind `franka`: a libfranka client controls a simulated robot over FCI."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from .robot import FrankaRobot
 
 
 class FrankaClient(Reachable):
-    """A libfranka client. The simulated robot is an FR3, a Panda, or another robot with 7 joints.
+    """A libfranka client that controls a simulated FR3, Panda, or other robot with 7 joints.
 
     Attributes:
         host: address of the robot. Several robots can use different addresses of this machine,
             127.0.0.1 to 127.255.255.254.
-        port: port of the robot (clients of libfranka always use 1337). If it is 0, a free port is
-            selected and replaces `{port}` in `command`.
-        command: command that starts the program, as for `udp`. If it exits with status 0, the run
-            continues.
-        clock: `real_time` sends a state every millisecond; `lockstep` waits for each command of a
-            motion, and between motions for the next one.
-        patience: time in s to wait in lockstep for a command, and between two motions.
+        port: port of the robot (libfranka clients always use 1337). If the port is 0, a free port
+            is selected and replaces `{port}` in `command`.
+        command: command that starts the program, as for `udp`. If the program exits with status 0,
+            the run continues.
+        clock: `real_time` to send a state every millisecond, or `lockstep` to wait for each command
+            of a motion, and between two motions for the next motion.
+        patience: time in s to wait in lockstep for a command, and for the next motion.
         first_patience: time in s to wait for the first client, and for the first command of a
             motion.
         version: server version of the robot, which must match libfranka: 5 for libfranka 0.9, 6 for
             0.10 to 0.13, 7 for 0.13.6, 8 for 0.14, 9 for 0.15 to 0.17, 10 from 0.18 on and for
             pylibfranka.
-        stiffness: stiffness of the robot's own control, Nm/rad per joint, until the client sets
-            another one (default: that of libfranka's examples).
-        damping: damping ratio of the robot's own control per joint.
+        stiffness: stiffness of the internal joint impedance control, Nm/rad per joint, until the
+            client changes it (default: the stiffness in the examples of libfranka).
+        damping: damping ratio of the internal joint impedance control per joint.
     """
 
     logged: ClassVar[tuple[str, ...]] = (

@@ -1,11 +1,11 @@
-"""Columns of tables that libfranka writes (`franka::logToCSV`)."""
+"""Column names of tables that libfranka writes (`franka::logToCSV`)."""
 
 from __future__ import annotations
 
 from ...simulate.runs.tables import ColumnNames
 
-# `tau_J_d` is without gravity, and therefore not the commanded torque. External torques are those
-# that the robot exerts; docs/conventions.md has the sources.
+# `tau_J_d` does not include gravity and is therefore not the commanded torque. External torques
+# are torques that the robot exerts on its environment (sources: docs/conventions.md).
 COLUMNS = ColumnNames(
     {
         "torques": ("tau_j",),
@@ -13,5 +13,5 @@ COLUMNS = ColumnNames(
         "external_torques": ("tau_ext_hat_filtered",),
     },
     opposite=("tau_ext_hat_filtered",),
-    prefixes=("state.",),  # since 2024
+    prefixes=("state.",),  # in tables since 2024
 )

@@ -1,4 +1,4 @@
-"""`FciLink`: the sockets of a robot's FCI: requests over TCP, states and commands over UDP."""
+"""`FciLink`: the sockets of a simulated robot for requests, states and commands of FCI."""
 
 from __future__ import annotations
 
@@ -23,29 +23,27 @@ from .messages import HEAD, INCOMPATIBLE, MAX_BYTES, SUCCESS, Messages
 
 log = logging.getLogger(__name__)
 
-_SLICE = 0.02  # s between checks for the end of the program
-_MAX_DATAGRAMS = (
-    256  # maximum number received in one step, so that a flood does not stop the simulation
-)
+_SLICE = 0.02  # time between checks for the end of the program, s
+_MAX_DATAGRAMS = 256  # maximum number of datagrams per step, so that a flood does not block steps
 _KEEPALIVE = {"TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3}  # as in libfranka
-_CONNECT_TIMEOUT = 1.0  # s after which a connection without a request is replaced by another one
+_CONNECT_TIMEOUT = 1.0  # time after which another client replaces one without a request, s
 
 
 class Robot(Protocol):
-    """Interface of a robot for its link."""
+    """The interface of a simulated robot that `FciLink` calls."""
 
     def request(self, name: str, number: int, values: tuple[Any, ...]) -> None:
-        """Called with a request of a connected client, see `messages.REQUESTS`."""
+        """Called with the name, id and values of a request from a connected client."""
 
     def connected(self) -> None:
         """Called when a client has connected."""
 
     def lost(self, why: str) -> None:
-        """Called when the client has disconnected."""
+        """Called with a reason when the client has disconnected."""
 
 
 class FciLink(Link):
-    """Serves one client at a time, like the robot.
+    """A server that connects one FCI client at a time to a simulated robot, as a real robot does.
 
     Attributes:
         clients: number of clients that have connected so far.
@@ -57,8 +55,8 @@ class FciLink(Link):
         self._messages, self._owner = messages, weakref.proxy(owner)
         self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
-        self._since = 0.0  # time of the connection
-        self._peer: tuple[str, int] | None = None  # receiver of the states
+        self._since = 0.0  # time at which the client has connected
+        self._peer: tuple[str, int] | None = None  # UDP address to which states are sent
         self._received = bytearray()
         self._is_new = Once()
         self.port = declared.port
@@ -77,7 +75,7 @@ class FciLink(Link):
             log.warning("%s: %s", self._robot, text)
 
     def open(self, time: float) -> None:
-        """Listens, and starts the program if one is declared.
+        """Starts to listen for clients, and starts the program if one is declared.
 
         Raises:
             DeclarationError: the program cannot be started.
@@ -105,7 +103,7 @@ class FciLink(Link):
         self._began = clock.monotonic() - time
 
     def wait_for_client(self, time: float) -> bool:
-        """Waits for the first client, starts the clock, and returns whether a client connected.
+        """Waits for the first client, starts the clock, and returns whether a client has connected.
 
         Raises:
             SimulationError: the program ended before a client connected.
@@ -146,7 +144,7 @@ class FciLink(Link):
         for _ in range(_MAX_DATAGRAMS):
             try:
                 size, address = self._socket.recvfrom_into(self.buffer, 0, DONT_WAIT)
-            except ConnectionError:  # on Windows: a client's port is closed
+            except ConnectionError:  # on Windows if the port of a client is closed
                 continue
             except OSError:
                 return
@@ -165,13 +163,13 @@ class FciLink(Link):
             self.receive(take)
 
     def share_core(self) -> None:
-        """Moves a started program to the CPU core of the simulation, if that is declared."""
+        """Moves a started program to the CPU core of the simulation, if this is declared."""
         self._share_core()
 
     # ---- requests
 
     def serve(self, seconds: float) -> None:
-        """Waits up to some seconds for input, and handles requests."""
+        """Waits for input for a maximum time in seconds, and handles requests."""
         sockets = [s for s in (self._client, self._listener, self._socket) if s is not None]
         if not sockets:
             return
@@ -230,12 +228,12 @@ class FciLink(Link):
             command, number, size = HEAD.unpack_from(self._received)
             known = self._messages.requests.get(command)
             if known is None or not HEAD.size <= size <= MAX_BYTES:
-                self._disconnect(f"sends no valid request: {bytes(self._received[:16]).hex(' ')}")
+                self._disconnect(f"sends an invalid request: {bytes(self._received[:16]).hex(' ')}")
                 return
             name, structure = known
             if size != HEAD.size + structure.size:
                 expected = HEAD.size + structure.size
-                self._disconnect(f"sends {name} of {size} bytes; expected {expected}")
+                self._disconnect(f"sends {name} of {size} bytes; expected {expected} bytes")
                 return
             if len(self._received) < size:
                 return

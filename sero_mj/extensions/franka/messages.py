@@ -1,8 +1,8 @@
-"""Messages between a Franka arm and its clients, for the server versions of `FrankaReceiver`.
+"""Messages between a Franka arm and its clients, for the server versions 3 to 10.
 
-Taken from libfranka-common's `research_interface/robot/service_types.h` and `rbk_types.h`, at the
-commits that libfranka 0.9 (server 5), 0.10 (6), 0.13.6 (7), 0.14 (8), 0.15 (9) and 0.18 (10) use;
-for 3 and 4 at the last commits with these versions. All messages are little-endian and packed.
+All messages are little-endian and packed. Sources: `research_interface/robot/service_types.h` and
+`rbk_types.h` of libfranka-common, at the commits that libfranka 0.9 (server version 5), 0.10 (6),
+0.13.6 (7), 0.14 (8), 0.15 (9) and 0.18 (10) use, and the last commits with versions 3 and 4.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ import numpy as np
 from ...base.frames import Array
 
 HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
-MAX_BYTES = 4096  # of a request; the longest request has 428 bytes
-SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status of answers, except for Move
-INCOMPATIBLE = 1  # status of the answer to Connect
-IDLE, MOVE, REFLEX = 1, 2, 4  # robot_mode
-# Numbers in requests to move. In states, generator numbers are higher by 1, and 0 means none.
+MAX_BYTES = 4096  # maximum size of a request; the longest request has 428 bytes
+SUCCESS, NOT_POSSIBLE, INVALID = 0, 1, 2  # status numbers of answers, except for Move
+INCOMPATIBLE = 1  # status number of the answer to Connect
+IDLE, MOVE, REFLEX = 1, 2, 4  # values of robot_mode
+# Numbers in Move requests. In states, generator numbers are higher by 1, and 0 means no generator.
 JOINT_POSITION, JOINT_VELOCITY, NO_GENERATOR = 0, 1, 4
 JOINT_IMPEDANCE, CARTESIAN_IMPEDANCE, EXTERNAL = 0, 1, 2
-OTHER_CONTROLLER = 3  # in states without a motion
+OTHER_CONTROLLER = 3  # controller number in states without a motion
 
-# Structure of each request after its head.
+# Mapping from requests to the `struct` formats of their payloads.
 REQUESTS = {
     "Connect": "HH",
     "Move": "II6d",
@@ -47,7 +47,7 @@ _UNTIL = {"GetCartesianLimit": 5, "SetFilters": 5, "LoadModelLibrary": 9}
 _SINCE = {"GetRobotModel": 8}
 _ASYNC_SINCE, _ASYNC = 10, "?7d"  # fields of Move: is_asynchronous, and velocities in rad/s
 _NO_GENERATOR_SINCE = 7
-# Status of answers to Move. Since version 6, two safety functions follow the third status.
+# Status names of answers to Move. Since version 6, two safety functions follow the third one.
 _MOVE_STATUS = (
     "success", "started", "preempted", "not_possible", "singular", "invalid", "reflex",
     "emergency", "input_error", "aborted",
@@ -59,7 +59,7 @@ _FINISHED_SINCE = 7  # first version with a final flag that finishes torque cont
 
 @dataclass(frozen=True)
 class RobotCommand:
-    """Command of a client for one cycle; `torques` are without gravity."""
+    """A command that a client sends for one cycle. Its torques do not include gravity."""
 
     message_id: int
     angles: Array
@@ -70,7 +70,7 @@ class RobotCommand:
 
 @dataclass(frozen=True)
 class Messages:
-    """Structures of the messages of one server version, 3 to 10."""
+    """The structures of all messages of a server version."""
 
     version: int
 

@@ -1,4 +1,4 @@
-"""Writes a robot model as URDF, which FCI clients request (`GetRobotModel`, server 8 or later)."""
+"""Writes robot models as URDF for FCI clients (`GetRobotModel`, server version 8 or later)."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from ...simulate.control.robot_model import RobotModel
 
 # libfranka finds the last link by this name, and treats robots named `tmr...` as mobile.
 _ROBOT, _LINK, _JOINT = "fr3", "link{}", "joint{}"
-# Velocity limits near position limits, which libfranka requires: deceleration in rad/s2 and
-# velocity offset in rad/s of each joint of an FR3 (libfranka, test/fr3.urdf).
+# Parameters of velocity limits near position limits, which libfranka requires: deceleration in
+# rad/s2 and velocity offset in rad/s of each joint of an FR3 (source: libfranka, test/fr3.urdf).
 _NEAR_LIMITS = ((6.0, 0.3), (2.585, 0.2), (3.5, 0.2), (4.0, 0.3), (17.0, 0.35), (5.5, 0.35),
                 (17.0, 0.35))  # fmt: skip
 
 
 def urdf_of(model: RobotModel) -> str:
-    """Returns the kinematics and masses of a robot's links as URDF, with libfranka's names.
+    """Returns the kinematics and inertias of a robot as URDF with the names in libfranka.
 
-    As in Franka's own model, shapes and motor inertias are omitted.
+    As in the model of a real robot, shapes and motor inertias are omitted.
     """
     skeleton = model.skeleton
     robot = ElementTree.Element("robot", name=_ROBOT)

@@ -1,7 +1,7 @@
-"""Motions that a client of FCI commands, and the limits that its commands must satisfy.
+"""Motions that an FCI client commands, and the limits that its commands must satisfy.
 
-The limits are those of a Franka Research 3, which the robot checks itself (libfranka's
-`rate_limiting.h`, and the control parameters at frankarobotics.github.io/docs).
+The limits are those that a Franka Research 3 checks (sources: `rate_limiting.h` of libfranka, and
+the control parameters at frankarobotics.github.io/docs).
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from ...base.frames import Array
 from ...simulate.control.robot_model import RobotModel
 from .messages import EXTERNAL, JOINT_POSITION, JOINT_VELOCITY, RobotCommand
 
-CYCLE = 1e-3  # s
+CYCLE = 1e-3  # time between two states, s
 JOINTS = 7
 MAX_TORQUES: Array = np.array([87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0])  # Nm
 MAX_TORQUE_RATE = 1000.0  # Nm/s
 MAX_ACCELERATION = 10.0  # rad/s2
-MAX_LOST = 20  # consecutive missing commands
-MAX_NUMBER = 1e9  # larger values are not physical, and could overflow
+MAX_LOST = 20  # number of consecutive missing commands that end a motion
+MAX_NUMBER = 1e9  # limit of received numbers; larger numbers are not physical and could overflow
 _WINDOW = 100  # number of commands over which the success rate is averaged
-# Clients compute with float32 states: 4 um of an angle of 4 rad are 0.5 rad/s2 in one cycle.
+# Clients compute with float32 states. Rounding causes acceleration errors of 0.5 rad/s2.
 _RATE_TOLERANCE, _ACCELERATION_TOLERANCE = 1.0, 1.0
-_START_TOLERANCE = 1e-3  # rad; tolerance of the first commanded angles, chosen by us
+_START_TOLERANCE = 1e-3  # tolerance of the first commanded angles, rad (our choice)
 
 
 class Violation(Exception):
-    """A command that the robot rejects; `error` is one of `receiver.ERRORS`."""
+    """Raised for a command that violates a limit. Its `error` is one of `receiver.ERRORS`."""
 
     def __init__(self, error: str, why: str, *, is_input: bool = False) -> None:
         super().__init__(why)
@@ -39,12 +39,12 @@ class Violation(Exception):
 
 @dataclass
 class Motion:
-    """A motion in progress.
+    """A motion that a client has started and not yet finished.
 
     Attributes:
-        since: start on the system clock, s.
+        since: time of the start on the system clock, s.
         at: simulation time of the last received command, s.
-        came: whether each of the last 100 commands arrived in time.
+        came: whether each of the last 100 commands has arrived in time.
     """
 
     number: int
@@ -63,15 +63,15 @@ class Motion:
 
     @property
     def success(self) -> float:
-        """Fraction of the last 100 commands that arrived in time."""
+        """Fraction of the last 100 commands that have arrived in time."""
         return sum(self.came) / len(self.came) if self.came else 0.0
 
 
 class Desired:
-    """Desired joint motion, which commands update.
+    """The desired motion of the joints, which commands of a client update.
 
     Attributes:
-        torques: torques commanded by a client, without gravity, shape (7,), Nm.
+        torques: torques that the client commands, without gravity, shape (7,), Nm.
     """
 
     def __init__(self, model: RobotModel) -> None:
@@ -79,23 +79,23 @@ class Desired:
         self.angles, self.velocities, self.accelerations, self.torques = np.zeros((4, JOINTS))
 
     def rest_at(self, angles: Array, velocities: Array) -> None:
-        """Sets the desired motion to the angles and velocities of the robot, shape (7,)."""
+        """Resets the desired motion to the measured angles and velocities of the robot."""
         self.angles[:], self.velocities[:] = angles, velocities
         self.accelerations[:] = self.torques[:] = 0.0
 
     def brake(self) -> None:
-        """Decelerates the desired motion for one cycle."""
+        """Decelerates the desired motion by one cycle."""
         max_change = MAX_ACCELERATION * CYCLE
         self.velocities -= np.clip(self.velocities, -max_change, max_change)
         self.angles += self.velocities * CYCLE
 
     def extrapolate(self) -> None:
-        """Continues for one cycle without a command, at the last commanded acceleration."""
+        """Continues the desired motion by one cycle, with the last commanded acceleration."""
         self.velocities += self.accelerations * CYCLE
         self.angles += self.velocities * CYCLE
 
     def command(self, motion: Motion, command: RobotCommand, gravity: Array) -> None:
-        """Applies a command; `gravity`, shape (7,), Nm, is added to its torques.
+        """Updates the desired motion with a command; `gravity` is added to its torques in Nm.
 
         Raises:
             Violation: the command violates a limit.
@@ -160,4 +160,4 @@ class Desired:
 
     def _check_finite(self, numbers: Sequence[float] | Array, what: str, error: str) -> None:
         if not (np.abs(numbers) < MAX_NUMBER).all():  # also NaN
-            raise Violation(error, f"a commanded {what} is not finite, or too large", is_input=True)
+            raise Violation(error, f"commanded {what} is not finite or is too large", is_input=True)

@@ -1,9 +1,9 @@
 """`FrankaReceiver`: the state of a Franka arm from its Franka Control Interface (FCI).
 
-A client connects to TCP port 1337 and requests states on a UDP port of its own. The robot then
-sends one state per millisecond. All messages are little-endian and packed. The receiver sends only
-this request, so it cannot command anything. The protocol and the names of fields are those of
-libfranka-common's `research_interface::robot`, server versions 3 (Panda) to 10 (Franka Research 3).
+A client connects to TCP port 1337 and requests states, which the robot then sends to a UDP port of
+the client once per millisecond. The receiver sends only this request, so it cannot command the
+robot. All messages are little-endian and packed. The protocol and the names of fields are those of
+`research_interface::robot` in libfranka-common, server versions 3 (Panda) to 10 (FR3).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from ...data.receive.udp_socket import (
 )
 
 PORT = 1337
-CONNECT = 0  # command number
+CONNECT = 0  # number of the request to connect
 _HEAD = struct.Struct("<III")  # command, id of the request, number of bytes
 _REQUEST = struct.Struct("<HH")  # version, UDP port
 _ANSWER = struct.Struct("<BH")  # status, version of the server
 _SUCCESS, _INCOMPATIBLE = 0, 1
-_MAX_BYTES = 1024  # of an answer; current servers send 15 bytes
+_MAX_BYTES = 1024  # maximum size of an answer; current servers send 15 bytes
 OLDEST, NEWEST = 3, 10  # supported server versions
 _SINGLE_SINCE = 10  # first version with float32 values in states instead of float64
-_BOOLEANS = {3: 37, 4: 37}  # mapping from versions to numbers of errors (default: 41)
+_BOOLEANS = {3: 37, 4: 37}  # mapping from versions to the number of errors (default: 41)
 
-# All fields of `RobotState` in order: name, first version, and size or struct type.
+# All fields of `RobotState` in order: name, first version, and number of values or `struct` type.
 FIELDS: tuple[tuple[str, int, int | str], ...] = (
     ("message_id", 3, "Q"),
     ("O_T_EE", 3, 16), ("O_T_EE_d", 3, 16), ("F_T_EE", 3, 16), ("EE_T_K", 3, 16),
@@ -64,7 +64,7 @@ FIELDS: tuple[tuple[str, int, int | str], ...] = (
     ("errors", 3, "?"), ("reflex_reason", 3, "?"),
     ("robot_mode", 3, "B"), ("control_command_success_rate", 3, 1),
 )  # fmt: skip
-# Fields that are events, in the same order, and their structure.
+# Mapping from the fields that are events, in the same order, to their structures.
 EVENTS = {
     "message_id": "message_id:1Q",
     "tau_J": "torques:7d",
@@ -79,11 +79,11 @@ EVENTS = {
     "robot_mode": "robot_mode:1B",
 }
 STRUCTURE = " ".join(EVENTS.values())
-# External torques and forces are exerted by the robot on its environment, so their sign is opposite
-# to ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue 26, drake
-# manipulation/README.md; docs/conventions.md.
+# External torques and forces in FCI are exerted by the robot on its environment, so their sign is
+# opposite to ours. Sources: libfranka include/franka/robot_state.h (O_F_ext_hat_K) and issue 26,
+# drake manipulation/README.md; docs/conventions.md.
 _EXTERNAL_SIGN = -1.0
-_PACKET = struct.Struct("<Q48d41s41sB")  # shorter strings are padded with zeros
+_PACKET = struct.Struct("<Q48d41s41sB")  # `struct` pads shorter strings with zeros
 
 ROBOT_MODES = (
     "in another mode", "idle", "moving", "being guided", "stopped by a reflex",
@@ -124,7 +124,7 @@ ERRORS = (
 
 
 def state_fields(version: int) -> dict[str, tuple[int, str]]:
-    """Returns a mapping from state fields to their offsets in bytes and `struct` formats."""
+    """Returns the offset in bytes and the `struct` format of each field of a state."""
     number = "f" if version >= _SINGLE_SINCE else "d"
     fields, at = {}, 0
     for name, since, count in FIELDS:
@@ -140,7 +140,7 @@ def state_fields(version: int) -> dict[str, tuple[int, str]]:
 
 
 def state_size(version: int) -> int:
-    """Returns the size in bytes of the state that a server of this version sends."""
+    """Returns the size in bytes of the states that servers of a version send."""
     return sum(struct.calcsize(f"<{kind}") for _, kind in state_fields(version).values())
 
 
@@ -158,17 +158,17 @@ _LONGEST_STATE = max(_PICKERS)
 
 
 class FrankaReceiver(ConnectingSource):
-    """Receives the state of a Franka arm without commanding it.
+    """A source that receives the state of a Franka arm without commanding the arm.
 
     The server version of the robot is detected automatically. A robot accepts only one client at a
     time, so your own program cannot connect while this source is open. `torques` include gravity,
-    and `commanded_torques` do not. `external_torques`, `tcp_force` and `tcp_moment` are exerted by
-    the environment on the robot. `tcp_force` and `tcp_moment` act at the stiffness frame, in base
-    directions, and are 0 near a singularity.
+    but `commanded_torques` do not. The environment exerts `external_torques`, `tcp_force` and
+    `tcp_moment` on the robot. `tcp_force` and `tcp_moment` act at the stiffness frame, are given in
+    the base frame, and are 0 near a singularity.
 
     Attributes:
-        host: address of the robot's controller.
-        port: port of the robot's controller.
+        host: address of the robot controller.
+        port: port of the robot controller.
         torque_sign: factor of measured and commanded torques, 1 or -1.
     """
 
@@ -212,15 +212,16 @@ class FrankaReceiver(ConnectingSource):
             with Connection(self.host, self.port, wake) as connection:
                 requested.add(self._version)
                 version = self._run_session(connection)
-            # A server that does not support our version sends its own.
+            # A server that does not support the requested version sends its own version.
             if not OLDEST <= version <= NEWEST:
-                supported = f"supported: {OLDEST} to {NEWEST}"
+                supported = f"supported versions are {OLDEST} to {NEWEST}"
                 raise ProtocolError(f"has server version {version}; {supported}")
             if version in requested:
                 raise ProtocolError(f"rejects version {self._version}, but has version {version}")
             self._version = version
 
-    # Returns the server's version if it rejects ours, otherwise receives until an error.
+    # Returns the version of the server if it rejects the requested one. Otherwise, this method
+    # receives states until an error occurs.
     def _run_session(self, connection: Connection) -> int:
         with socket.socket(connection.socket.family, socket.SOCK_DGRAM) as states:
             with suppress(OSError):  # some systems reject large buffers
@@ -304,7 +305,7 @@ class FrankaReceiver(ConnectingSource):
 
 
 class FrankaLayout(Structure):
-    """Packets of `FrankaReceiver`, extracted from states of all versions."""
+    """The structure of `FrankaReceiver` packets, which are extracted from states of any version."""
 
     message = "state"
 

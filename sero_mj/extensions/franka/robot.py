@@ -1,4 +1,4 @@
-"""`FrankaRobot`: a simulated robot's side of Franka's FCI, and its control."""
+"""`FrankaRobot`: a simulated robot that an FCI client commands."""
 
 from __future__ import annotations
 
@@ -37,25 +37,26 @@ from .state import FrankaState
 
 log = logging.getLogger(__name__)
 
-_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
+_BANDWIDTH = 25.0  # bandwidth of the observer of external torques, 1/s (our choice)
 _LOST = "communication_constraints_violation"
 # Time in s after which a state is sent again in lockstep. libfranka does not answer the first state
-# of a motion, and may skip others. A client that takes longer sees a state twice.
+# of a motion, and may skip other states. A client that takes longer receives a state twice.
 _FIRST_REPEAT, _REPEAT = 0.02, 0.1
-_MAX_STIFFNESS = 5000.0  # Nm/rad; maximum stiffness of the robot's own control
+_MAX_STIFFNESS = 5000.0  # maximum stiffness of the internal joint impedance control, Nm/rad
 _NO_LIMITS = bytes(24 + 128 + 1)  # payload of the answer that rejects GetCartesianLimit
 
 
 class FrankaRobot(Controller):
-    """Sends a state in each cycle of `steps` time steps, and applies the command that answers it.
+    """The controller of a simulated robot that an FCI client commands.
 
+    In each cycle of `steps` time steps, it sends a state and applies the command that answers it.
     Between motions, and during position and velocity motions, joint impedance control holds the
     robot at the desired angles. Commanded torques are added to gravity compensation.
 
     Attributes:
         logged: number of the robot mode in FCI, success rate of commands, age of the current
             command in s, and delay of this step in s.
-        wrong: number of datagrams that are not commands, or answer a state that was not sent.
+        wrong: number of datagrams that are not commands or that answer a state not sent yet.
     """
 
     def __init__(
@@ -83,11 +84,11 @@ class FrankaRobot(Controller):
         self.mode = IDLE
         self.wrong = self.late = self.missed = 0
         self._motion: Motion | None = None
-        self._number = self._first = 0  # ids of the newest state and of the first one of this cycle
+        self._number = self._first = 0  # ids of the newest state, and of the first in this cycle
         self._repeat_interval = _REPEAT
-        self._idle_until, self._is_free = 0.0, False  # in lockstep, see `_run_in_lockstep`
+        self._idle_until, self._is_free = 0.0, False  # used by `_run_in_lockstep`
         self._motor_state: Array = np.zeros((2, JOINTS))
-        self._torques: Array = np.zeros(JOINTS)  # torques of the last step, without gravity
+        self._torques: Array = np.zeros(JOINTS)  # torques of the last step without gravity
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
         self._step += 1
@@ -122,7 +123,7 @@ class FrankaRobot(Controller):
 
     @property
     def commanded_angles(self) -> Array:
-        """Desired angles, shape (7,), rad; the measured angles while torques are commanded."""
+        """Desired joint angles, shape (7,), rad. They are measured angles in torque control."""
         return self._desired.angles
 
     # ---- cycles
@@ -170,8 +171,8 @@ class FrankaRobot(Controller):
         if self._motion is motion and link.answered != self._number:
             self._miss(motion)
 
-    # Time stops until a motion has its next command. Between motions, it stops for `patience`, so
-    # that the start of the next motion depends only on the client, not on the speed of the machine.
+    # During a motion, time stops until the next command. Between motions, it stops for `patience`,
+    # so that the start of the next motion does not depend on the speed of the machine.
     def _run_in_lockstep(self, time: float) -> None:
         link = self._link
         while link.is_connected:
@@ -224,12 +225,12 @@ class FrankaRobot(Controller):
             return
         motion = self._motion
         if motion is None:
-            return  # sent before the motion ended
+            return  # the command was sent before the motion ended
         if command.message_id < self._first:
             self.late += motion.is_commanded
             return
         if self._link.answered >= self._first:
-            return  # a second answer
+            return  # this is a second answer in the same cycle
         self._link.answered = command.message_id
         motion.at, motion.lost = self._time, 0
         motion.came.append(True)
@@ -292,7 +293,7 @@ class FrankaRobot(Controller):
         self._start_idle(self._declared.first_patience)
 
     def lost(self, why: str) -> None:
-        """Called when the client has disconnected; during a motion, this is an error."""
+        """Called when the client has disconnected, which is an error during a motion."""
         if self._motion is not None:
             self._reflex(_LOST, f"the client {why}")
         else:

@@ -1,4 +1,4 @@
-"""`FrankaState`: the state that a Franka arm sends."""
+"""`FrankaState`: the state that a simulated Franka arm sends."""
 
 from __future__ import annotations
 
@@ -13,14 +13,15 @@ from ...simulate.control.robot_model import RobotModel
 from .receiver import state_fields, state_size
 
 _FRAMES = ("F_T_EE", "EE_T_K", "F_T_NE", "NE_T_EE")
-_SINGULAR = 1e-8  # no external force is computed if det(J J^T) is smaller; chosen by us
+_SINGULAR = 1e-8  # minimum det(J J^T) for which external forces are computed (our choice)
 
 
 class FrankaState:
-    """The packet of a state, written in place; matrices are column-major.
+    """The state of a simulated Franka arm as a packet, whose values are written in place.
 
     Attributes:
-        views: mapping from field names to views of their values in `packet`, see `receiver.FIELDS`.
+        packet: bytes of the packet. Its matrices are column-major.
+        views: mapping from field names (`receiver.FIELDS`) to views of their values in `packet`.
     """
 
     def __init__(self, version: int, model: RobotModel, cycle: float) -> None:
@@ -44,12 +45,12 @@ class FrankaState:
         return self.views[field]
 
     def set_frame(self, name: str, pose: Array) -> None:
-        """Sets the pose of a frame beyond the flange, shape (4, 4), m."""
+        """Sets the pose of an end effector or stiffness frame (`F_T_EE`), shape (4, 4), m."""
         self._frames[name] = pose
         self[name] = pose.T.ravel()
 
     def measure(self, sensed: Sensed, external: Array) -> None:
-        """Writes the measured values and the values computed from them.
+        """Writes the measured values of the robot and the values that follow from them.
 
         `external` are the torques that the environment exerts on the robot, shape (7,), Nm.
         """
@@ -64,9 +65,9 @@ class FrankaState:
         self.place(external)
 
     def place(self, external: Array) -> None:
-        """Writes the pose of the end effector, and the force that explains the external torques.
+        """Writes the pose of the end effector, and the force that causes the external torques.
 
-        Franka reports the torques that the robot exerts, with the opposite sign of `external`.
+        Franka robots report the torques that they exert, with the opposite sign of `external`.
         """
         model = self._model
         self["tau_ext_hat_filtered"] = -external
@@ -75,7 +76,7 @@ class FrankaState:
         T_base_ee = T_base_flange @ self._frames["F_T_EE"]
         for name in ("O_T_EE", "O_T_EE_d", "O_T_EE_c"):
             self[name] = T_base_ee.T.ravel()
-        # The models of clients read gravity from it; libfranka documents it as {0, 0, -9.81}.
+        # Clients read gravity from this field, which libfranka documents as {0, 0, -9.81}.
         self["O_ddP_O"] = T_base_world[:3, :3] @ model.skeleton.opt.gravity
         T_base_k = T_base_ee @ self._frames["EE_T_K"]
         jacobian, to_base = model.jacobian(), T_base_world[:3, :3]

@@ -3,8 +3,8 @@
 The controller sends one monitoring message per cycle (1 to 100 ms). It is encoded with Protocol
 Buffers and varies in size; `IiwaLayout` converts messages to packets with a fixed layout. A client
 answers every `receive_multiplier`-th message, even if it only monitors. FRI 2.7 puts the length
-before the message and a checksum after it. Field numbers are those of the interface in the client
-SDKs 1.11 to 2.7; the field names are ours.
+before the message and a checksum after it. Field numbers are from the client SDKs 1.11 to 2.7, and
+field names are ours.
 """
 
 from __future__ import annotations
@@ -150,7 +150,7 @@ def _double(fields: Fields, number: int) -> float:
 
 
 def unframed(packet: bytes) -> tuple[bytes, bool]:
-    """Returns the message in a packet and whether it has a length and checksum (FRI 2.7).
+    """Returns the message in a packet, and whether the packet has a length and checksum (FRI 2.7).
 
     Raises:
         ValueError: the checksum is wrong.

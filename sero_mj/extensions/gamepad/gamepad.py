@@ -18,10 +18,10 @@ from ...viewer.session.joint_goal import JointGoal
 from ...viewer.session.keys import Row
 from ...viewer.session.tool import Shown, Tool
 
-# Names of the buttons, in GLFW's order.
+# These are the names of the buttons in GLFW's order.
 BUTTONS = ("A", "B", "X", "Y", "LB", "RB", "Back", "Start", "Guide", "left stick", "right stick",
            "up", "right", "down", "left")  # fmt: skip
-# Key that a button presses, and its description.
+# For each button: the key that it presses, and a description.
 PAD_KEYS: dict[str, tuple[str, str]] = {
     "A": (" ", "pause or continue"),
     "B": ("p", "plot the torques of the selected joint"),
@@ -43,22 +43,23 @@ PAD_STICKS: dict[str, str] = {
     "triggers": "zoom",
     "left stick pressed": "switch between view and target",
 }
-_SWITCH = "left stick"  # the button that switches between view and target
+_SWITCH = "left stick"  # button that switches between view and target
 _DEAD_ZONE = 0.15
-_ORBIT, _PAN = 0.7, 0.5  # image heights per s, as for a drag of the mouse
-_ZOOM = 12.0  # wheel notches per s
-_SPEED, _SPIN = 0.25, np.deg2rad(45.0)  # speeds of a target, m/s and rad/s
-_SEARCH_INTERVAL = 1.0  # s
-_MAX_FRAME = 0.1  # s; longer frames are shortened, so that the view does not jump
+_ORBIT, _PAN = 0.7, 0.5  # speeds of an equivalent mouse drag, image heights per s
+_ZOOM = 12.0  # speed of an equivalent wheel rotation, notches per s
+_SPEED, _SPIN = 0.25, np.deg2rad(45.0)  # maximum speeds of a target, m/s and rad/s
+_SEARCH_INTERVAL = 1.0  # time between searches for a gamepad, s
+_MAX_FRAME = 0.1  # maximum time of a frame, s; otherwise, the view could jump
 
 
 class PadState(NamedTuple):
     """The state of a gamepad.
 
     Attributes:
-        buttons: whether each button of `BUTTONS` is pressed, shape (15,).
-        axes: left stick x and y, right stick x and y, left and right trigger, shape (6,), -1 to 1.
-            The y axes point down.
+        name: name of the gamepad.
+        buttons: whether each button of `BUTTONS` is pressed, length 15.
+        axes: positions of the axes from -1 to 1, length 6: left stick x and y, right stick x and y,
+            left trigger and right trigger. The y axes point down.
     """
 
     name: str
@@ -67,7 +68,7 @@ class PadState(NamedTuple):
 
 
 class PadReader:
-    """Returns the state of the first connected gamepad when called, or None."""
+    """Callable that returns the state of the first connected gamepad, or None if there is none."""
 
     def __init__(self) -> None:
         self._joystick = -1
@@ -93,14 +94,14 @@ class PadReader:
 
 
 class Gamepad(Tool):
-    """Applies the input of a gamepad to a window. On pages, the tool does nothing.
+    """Tool that applies the input of a gamepad to a window. On pages, it does nothing.
 
     Attributes:
-        read: function that returns the state of the gamepad, or None without a gamepad.
-        moves_target: whether the sticks move a target instead of the view.
+        read: function that returns the state of the gamepad, or None if there is none.
+        moves_target: True if the sticks move a target, False if they move the view.
     """
 
-    order: ClassVar[int] = 5  # before targets and robots move
+    order: ClassVar[int] = 5  # The tools that move targets and robots must come later.
 
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
@@ -134,7 +135,7 @@ class Gamepad(Tool):
         self._pressed = state.buttons
         passed = min(passed, _MAX_FRAME)
         sticks = deflection(np.array(state.axes[:4]))
-        triggers = (np.array(state.axes[4:6]) + 1.0) / 2.0  # -1 at rest
+        triggers = (np.array(state.axes[4:6]) + 1.0) / 2.0  # At rest, a trigger is at -1.
         left, right = deflection(triggers).tolist()
         self._stick(sticks * passed, (right - left) * passed)
 
@@ -171,7 +172,7 @@ class Gamepad(Tool):
         if view is None:
             return
         right, down, turn, back = sticks.tolist()
-        forward = view.forward * [1.0, 1.0, 0.0]  # horizontal, whatever the tilt of the camera
+        forward = view.forward * [1.0, 1.0, 0.0]  # The target moves horizontally.
         length = float(np.linalg.norm(forward))
         forward = forward / length if length > 1e-6 else view.up
         pose = goal.flange(base)
@@ -182,6 +183,6 @@ class Gamepad(Tool):
 
 
 def deflection(axes: Array) -> Array:
-    """Applies a dead zone and a quadratic response to axes, shape (k,), -1 to 1."""
+    """Applies a dead zone and a quadratic response to axis positions from -1 to 1, shape (k,)."""
     beyond = np.clip((np.abs(axes) - _DEAD_ZONE) / (1.0 - _DEAD_ZONE), 0.0, 1.0)
     return np.asarray(np.sign(axes) * beyond**2)

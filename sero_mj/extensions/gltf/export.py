@@ -1,4 +1,4 @@
-"""Writes glTF animations: the bodies of a scene and their motion, without arrows and billboards."""
+"""Writes the bodies of a scene and their motion as a glTF animation."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ if TYPE_CHECKING:
     from ...cli.export import ExportOptions
 
 _FLOAT, _UINT = 5126, 5125  # component types of glTF
-_METALLIC, _ROUGHNESS = 0.1, 0.5  # defaults for materials
-_GAMMA = 2.2  # glTF's colors are linear
+_METALLIC, _ROUGHNESS = 0.1, 0.5  # default properties of materials
+_GAMMA = 2.2  # exponent that converts displayed colors to linear colors of glTF
 _UP = [-(0.5**0.5), 0.0, 0.0, 0.5**0.5]  # rotation from z up to y up
 _SECTIONS = 24  # number of sides of a cylinder
-_SHOWN, _HIDDEN = 1.0, 1e-6  # scale factors: glTF has no visibility flag
+_SHOWN, _HIDDEN = 1.0, 1e-6  # scale factors of bodies, because glTF has no visibility flag
 
 
 def write_animation(options: ExportOptions) -> int:
-    """Writes a scene or a run as a glTF animation, and returns exit code 0."""
+    """Runs `sero-mj export` for .glb files, and returns exit code 0."""
     options.accept(*CAPTURE_OPTIONS)
     _, captured = capture_run(options)
     write_glb(captured, options.path)
@@ -58,7 +58,7 @@ class _Blob:
 
 
 def write_glb(captured: CapturedRun, path: Path) -> None:
-    """Writes the bodies of a captured run and their motion to a .glb file.
+    """Writes the bodies of a captured run and their motion, without arrows, to a .glb file.
 
     Raises:
         UsageError: pygltflib is not installed, or the file cannot be written.
@@ -71,8 +71,8 @@ def write_glb(captured: CapturedRun, path: Path) -> None:
     model, colours = captured.world.model, geom_colors(captured.world.model)
     gltf = pygltflib.GLTF2(scene=0)
     blob = _Blob(gltf)
-    meshes: dict[Any, int] = {}  # maps declarations of shapes to meshes
-    equal: dict[bytes, int] = {}  # maps digests of shapes to meshes
+    meshes: dict[Any, int] = {}  # maps properties of geoms to meshes
+    equal: dict[bytes, int] = {}  # maps digests of shapes and materials to meshes
     bodies: list[list[int]] = [[] for _ in captured.bodies]
     for i in captured.geoms.tolist():
         key = (int(model.geom_dataid[i]), model.geom_size[i].tobytes(), int(model.geom_type[i]),

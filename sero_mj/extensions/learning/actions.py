@@ -1,4 +1,4 @@
-"""Actions of an agent (joint torques or target offsets), and the controller of an agent."""
+"""Actions of an agent (joint torques or target offsets), and the controller that executes them."""
 
 from __future__ import annotations
 
@@ -37,23 +37,24 @@ class Action(ABC):
     def begin(self, target: Target, angles: Array, which: Any = slice(None)) -> None:
         """Begins an episode, in which actions are written to `target`.
 
-        `angles` (n,) contains the joint values of the robot. For m robots, `target` has arrays
-        (m, n), and `angles` (k, n) contains the joint values of the robots in `which`.
+        `angles` contains the joint values of the robot, shape (n,). For m robots, the arrays in
+        `target` have the shape (m, n), and `angles` contains the joint values of the k robots that
+        `which` selects, shape (k, n).
         """
 
     @abstractmethod
     def take(self, action: Array) -> None:
-        """Begins a control step with an action (n,) or (m, n) within the bounds."""
+        """Begins a control step with an action within the bounds, shape (n,) or (m, n)."""
 
     def advance(self) -> None:  # noqa: B027 - optional
         """Begins a step of the simulation."""
 
     def observation(self) -> dict[str, Array]:
-        """Returns the state of the action that an agent observes."""
+        """Returns the observations that depend on the kind of action."""
         return {}
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Returns shapes and bounds of `observation`."""
+        """Returns the shapes and bounds of `observation`."""
         return {}
 
 
@@ -91,17 +92,18 @@ class TorqueAction(Action):
 
 
 class ImpedanceAction(Action):
-    """Offsets (rad or m) of the target of a joint impedance controller.
+    """Offsets (rad or m) by which the target of a joint impedance controller moves.
 
     The target moves by the offset at constant speed during a control step, within the position
-    limits. Labs command real LWRs this way: impedance and gravity compensation run in the robot's
-    own controller. The bounds result from the velocity limits (default: 1 rad/s, 0.25 m/s).
+    limits. Real LWRs are commanded in this way, because their controller includes impedance control
+    and gravity compensation. The bounds result from the velocity limits (default: 1 rad/s, 0.25
+    m/s).
 
     Args:
         control_timestep: time between two actions, s.
         timestep: time step of the simulation, s.
-        stiffness: stiffness of all joints or of each joint (n,), Nm/rad.
-        damping: damping ratio of all joints or of each joint (n,).
+        stiffness: stiffness of all joints, or of each joint, shape (n,), Nm/rad.
+        damping: damping ratio of all joints, or of each joint, shape (n,).
 
     Raises:
         DeclarationError: the gains are invalid.
@@ -154,7 +156,7 @@ class ImpedanceAction(Action):
                 self._target.angles[:] = self._goal  # prevents accumulated rounding errors
 
     def observation(self) -> dict[str, Array]:
-        # Without the target, the next state cannot be predicted.
+        # The next state depends on the target.
         return {"commanded_angles": self._goal.copy()}
 
     def observation_spec(self) -> dict[str, specs.Array]:
@@ -178,7 +180,7 @@ class AgentController(Controller):
         self.begin_at(np.asarray(robot.home, np.float64))
 
     def begin_at(self, angles: Array) -> None:
-        """Resets all state for an episode that begins at these joint values, shape (n,)."""
+        """Resets the controller for an episode that begins at joint values, shape (n,)."""
         self._target = Target(self._robot.n)
         self._inner = make_controller(
             self._action.controller, self.model, self._timestep, self._robot.torque_limits
@@ -201,7 +203,7 @@ def checked_action(
     time: float,
     m: int | None = None,
 ) -> Array:
-    """Returns an action (n,), clipped to the bounds, or (m, n) for m environments.
+    """Returns an action that is clipped to its bounds, shape (n,), or (m, n) for m environments.
 
     Raises:
         ValueError: the shape is wrong.

@@ -1,4 +1,4 @@
-"""`Environment`: a scenario in which an agent controls one robot, as a `dm_env.Environment`."""
+"""A scenario in which an agent controls one robot, as a `dm_env.Environment`."""
 
 from __future__ import annotations
 
@@ -46,7 +46,8 @@ if TYPE_CHECKING:
 
 # Margin of observed angles beyond the limits in rad and m, because end stops are elastic.
 LIMIT_MARGIN = {"revolute": 0.2, "prismatic": 0.05}
-_MAX_FREQUENCY = 40.0  # rad/s, of a motor with the default stiffness; low for steps of 1 ms
+# Maximum frequency of a motor with the default stiffness, rad/s; low for steps of 1 ms.
+_MAX_FREQUENCY = 40.0
 
 
 class Settings(Declaration):
@@ -111,31 +112,31 @@ class _EpisodeRun:
 
 
 class Environment(dm_env.Environment):  # type: ignore[misc]
-    """Episodes of a scenario in which an agent controls one robot.
+    """An environment in which an agent controls one robot of a scenario.
 
-    An episode ends with the scenario (discount 1), or if the simulation becomes unstable (reward
-    and discount 0, with the previous observation; `error` contains the reason). Actions are clipped
-    to their bounds. Episode k depends only on the seed and on k.
+    An episode ends with discount 1 at the end of the scenario. If the simulation becomes unstable,
+    it ends with reward 0, discount 0 and the previous observation, and `error` contains the reason.
+    Actions are clipped to their bounds. Episode k depends only on the seed and on k.
 
     Args:
-        scenario: the scenario, which is not modified.
+        scenario: scenario, which is not modified.
         robot: name of the robot that the agent controls.
-        task: the task of the agent.
+        task: task of the agent.
         settings: options of the environment; None for the defaults.
         random_start: whether episodes begin in random poses instead of the declared one.
 
     Attributes:
-        scenario: the scenario, with the agent instead of the robot's controller.
+        scenario: copy of the scenario, in which the agent replaces the controller of the robot.
         settings: options of the environment.
         substeps: number of simulation steps in a control step.
-        simulation: the current episode; `simulation.outcomes()` evaluates expectations.
-        task: the task in the current episode; `reach` has the attribute `task.target`, for example.
+        simulation: current episode; `simulation.outcomes()` evaluates expectations.
+        task: task in the current episode, with attributes such as `task.target` of `reach`.
         seed: random seed.
-        episode: number of the current episode from 0; -1 before the first. Set it to k - 1 to
-            continue with episode k.
-        error: the error that ended the last episode, or None.
-        columns: mapping from names in observations to columns of the log.
-        bounds: mapping from names in observations to lower and upper bounds (n,) of angles.
+        episode: number of the current episode, from 0; -1 before the first episode. Set it to k - 1
+            to continue with episode k.
+        error: error that ended the last episode, or None.
+        columns: columns of the log by name of the observation.
+        bounds: lower and upper bounds of observed angles by name, shape (n,) each.
 
     Raises:
         UnknownName: there is no such robot.
@@ -237,7 +238,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
 
     @property
     def is_over(self) -> bool:
-        """Whether the episode has ended, so that the next step begins another one."""
+        """Whether the episode has ended, so that the next step begins another episode."""
         return self._is_over
 
     @property
@@ -258,7 +259,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return dm_env.restart(self._observation)
 
     def _draw_start(self, rng: np.random.Generator) -> tuple[Array, int]:
-        # Joint values (n,), and the seed of the noise.
+        # Returns joint values, shape (n,), and the seed of the noise.
         start = np.asarray(self.robot.home, np.float64)
         if self._random_start:
             start = self._robot.free_pose(rng)
@@ -304,7 +305,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             simulation.advance(simulation.step + self.substeps)
         except SimulationError as error:
             self.error, self._is_over = error, True
-            # Copies, because the arrays were already returned once.
+            # The arrays are copied, because they were already returned once.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
         self.plant.rows.physics.forward()  # updates `data` as `mj_step` does
@@ -332,9 +333,9 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return specs.BoundedArray((), float, 0.0, 1.0, name="reward")
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Returns names, shapes and bounds of observations in SI units.
+        """Returns the shapes and bounds of observations by name, in SI units.
 
-        Names of other robots have a prefix, for example `ROBOT/joint_angles`.
+        Observations of other robots have a prefix, for example `ROBOT/joint_angles`.
         """
         found: dict[str, specs.Array] = {}
         for name, columns in self.columns.items():

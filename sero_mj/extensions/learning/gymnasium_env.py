@@ -1,4 +1,4 @@
-"""`GymnasiumEnvironment`: an `Environment` with the interface of Gymnasium.
+"""An `Environment` with the interface of Gymnasium.
 
 Actions are scaled from the bounds of `Environment.action_spec` to -1 to 1. Observations are clipped
 to finite bounds: ten times the limits of velocity and torque, and twice the reach of the robot.
@@ -31,13 +31,13 @@ _DEFAULT_TORQUE = 1e3  # Nm or N, for robots without torque limits
 
 
 class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
-    """Episodes of an `Environment`.
+    """A Gymnasium environment with the episodes of an `Environment`.
 
     An episode is truncated at its end, and terminated with `info["error"]` if the simulation
     becomes unstable. Episode k after `reset(seed=s)` depends only on s and k.
 
     Args:
-        environment: the environment.
+        environment: environment to simulate.
         render_mode: `rgb_array`, `human` (a window in real time) or None.
         width: width of images, pixels.
         height: height of images, pixels.
@@ -75,9 +75,9 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins the next episode. If a `seed` is passed, begins the first episode of this seed.
+        """Begins the next episode, or the first episode of a seed if `seed` is not None.
 
-        If no seed was ever set, the first seed is random.
+        If no seed has been set, the first seed is random.
         """
         super().reset(seed=seed)
         if seed is not None:
@@ -90,7 +90,7 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
     def step(
         self, action: NDArray[np.float32]
     ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Simulates a control step with an action (n,) from -1 to 1.
+        """Simulates a control step with an action from -1 to 1, shape (n,).
 
         Raises:
             SimulationError: the action has NaN or infinity; nothing is simulated.
@@ -111,7 +111,7 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         return {name: np.clip(value, *self.bounds[name]) for name, value in observation.items()}
 
     def render(self) -> Any:
-        """Returns an image (height, width, 3), or None if the mode is not `rgb_array`."""
+        """Returns an image, shape (height, width, 3), or None if the mode is not `rgb_array`."""
         if self.render_mode != "rgb_array":
             return None
         height, width, camera = self._image
@@ -138,9 +138,10 @@ def make_gymnasium_environment(
     camera: str | None = None,
     **options: Any,
 ) -> GymnasiumEnvironment:
-    """Called by `gymnasium.make`; see `GymnasiumEnvironment` and `make_environment`.
+    """Creates a `GymnasiumEnvironment`. Called by `gymnasium.make`.
 
-    If `name` is None, `options` contain `robot` and `task`, or `scenario`.
+    `name` and `options` are those of `make_environment`. If `name` is None, the options contain
+    `robot` and `task`, or `scenario`.
     """
     name, options = name_and_options(name, options)
     environment = make_environment(name, **options)
@@ -150,7 +151,7 @@ def make_gymnasium_environment(
 
 
 def name_and_options(name: str | None, options: dict[str, Any]) -> tuple[str, dict[str, Any]]:
-    """Returns name and options for `make_environment` from the arguments of `gymnasium.make`.
+    """Converts the arguments of `gymnasium.make` to a name and options for `make_environment`.
 
     Raises:
         DeclarationError: there is neither a robot nor a scenario.
@@ -180,7 +181,7 @@ def action_space(environment: Environment) -> spaces.Box:
 
 
 def observation_space(bounds: Mapping[str, tuple[Array, Array]]) -> spaces.Dict:
-    """Returns the space of observations that have these bounds."""
+    """Returns the space of observations from their lower and upper bounds."""
     return spaces.Dict(
         {name: spaces.Box(low, high, dtype=np.float64) for name, (low, high) in bounds.items()}
     )

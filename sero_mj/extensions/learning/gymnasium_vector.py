@@ -1,4 +1,4 @@
-"""`GymnasiumVector`: many environments of a robot with a task, stepped together, for Gymnasium."""
+"""Many environments of a robot with a task, stepped together, for Gymnasium."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from .many import ManyEnvironments
 
 
 class GymnasiumVector(VectorEnv[Any, Any, Any]):
-    """Environments that are stepped together; each behaves like a `GymnasiumEnvironment`.
+    """A Gymnasium vector of environments that are stepped together.
 
-    If an episode has ended, the next step ignores the action and begins another episode
-    (`AutoresetMode.NEXT_STEP`).
+    Each environment behaves like a `GymnasiumEnvironment`. If an episode has ended, the next step
+    ignores the action and begins another episode (`AutoresetMode.NEXT_STEP`).
 
     Args:
-        many: the environments.
+        many: environments to step.
         is_seeded: whether the first `reset` uses the seeds of `many`.
     """
 
@@ -74,13 +74,13 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
             seeds = np.random.SeedSequence().generate_state(self.num_envs)
         if seeds is not None and seeds.shape != (self.num_envs,):
             raise Problem(
-                "seed", found=seeds.size, expected=f"one number, or {self.num_envs}"
+                "seed", found=seeds.size, expected=f"one seed, or {self.num_envs} seeds"
             ).error()
         observed = self.many.reset(seeds)
         return self._within(observed), self._episodes(np.ones(self.num_envs, bool))
 
     def step(self, actions: Any) -> tuple[Observation, Array, Bools, Bools, dict[str, Any]]:
-        """Simulates a control step with actions (num_envs, n) from -1 to 1.
+        """Simulates a control step with actions from -1 to 1, shape (num_envs, n).
 
         Raises:
             ValueError: the actions have a wrong shape.
@@ -103,7 +103,7 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         return self._within(observed), rewards, terminated, truncated, infos
 
     def begin_next(self) -> Observation:
-        """Begins the next episode of environments whose episode has ended.
+        """Begins the next episode of each environment whose episode has ended.
 
         Returns the observations of all environments.
         """
@@ -128,9 +128,10 @@ def make_gymnasium_vector(
     render_mode: str | None = None,
     **options: Any,
 ) -> GymnasiumVector:
-    """Called by `gymnasium.make_vec` for robots with a task; see `make_environment`.
+    """Creates a `GymnasiumVector`. Called by `gymnasium.make_vec` for robots with a task.
 
-    `threads` is the number of threads (default: one per core). `render_mode` must be None.
+    `threads` is the number of threads (default: one per core). `render_mode` must be None. `name`
+    and `options` are those of `make_gymnasium_environment`.
 
     Raises:
         DeclarationError: an option is wrong, or these environments can only be stepped one by one.

@@ -1,4 +1,4 @@
-"""`make_environment`: creates environments by name and options."""
+"""Creates environments by name and options."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def described_environments() -> tuple[str, list[str]]:
 
 
 class ScenarioSettings(Settings):
-    """Options of the environment of a scenario.
+    """Options of an environment that runs a scenario.
 
     Attributes:
         robot: robot that the agent controls; None for the first robot.
@@ -49,13 +49,13 @@ class ScenarioSettings(Settings):
 
 
 class RobotSettings(Settings):
-    """Options of the environment of a robot with a task.
+    """Options of an environment with a robot and a task.
 
     Attributes:
         time_limit: duration of an episode, s.
         timestep: time step of the simulation, s.
         sensors: sensor errors, as in `[sensors.NAME]` of a scenario.
-        start: `random`, `home` (the declared joint values), or joint values, rad or m.
+        start: start pose: `random`, `home` (the declared joint values), or joint values, rad or m.
         robot: values that override the robot file, for example `{"show_billboards": True}`.
     """
 
@@ -122,7 +122,7 @@ class RobotSettings(Settings):
 
 
 def list_environments() -> list[str]:
-    """Returns the names of the environments of included robots and scenarios."""
+    """Returns the names of the environments for included robots and scenarios."""
     return [f"{robot}/{task}" for robot in list_models() for task in TASKS] + list_scenarios()
 
 

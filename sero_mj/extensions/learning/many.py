@@ -1,8 +1,8 @@
-"""`ManyEnvironments`: m environments of a robot with a task, stepped together.
+"""Steps many environments of a robot with a task together.
 
-Each thread simulates a lane of robots: MuJoCo steps all robots of a lane in one call, and their
-controllers are computed together. Threads synchronize once per control step. Observations and
-rewards are those of m separate environments, to rounding.
+Each thread simulates a lane of robots. MuJoCo steps all robots of a lane in one call, and their
+controllers are computed together. Threads synchronize once per control step. Except for rounding,
+observations and rewards are those of separate environments.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ from .tasks import ManyEpisodes, ManyStates
 
 
 class ManyEnvironments:
-    """m environments of a single robot with a task, stepped together.
+    """A set of m environments of a robot with a task, which are stepped together.
 
     Args:
         environment: environment that initializes all episodes; do not use it elsewhere.
@@ -38,13 +38,13 @@ class ManyEnvironments:
         threads: number of threads.
 
     Attributes:
-        lanes: the robots of each thread.
-        seeds: random seeds, shape (m,); by default, the seed of `environment` and the seeds
-            that follow.
-        episodes: number of the current episodes from 0, shape (m,); -1 before the first. Episode k
-            of a seed is the same as in `Environment`.
-        is_over: whether the episode has ended, so that the next step begins another one, (m,).
-        task: the task of all environments.
+        lanes: robots of each thread.
+        seeds: random seeds, shape (m,); by default, the seed of `environment` and the seeds that
+            follow.
+        episodes: numbers of the current episodes, from 0, shape (m,); -1 before the first episode.
+            Episode k of a seed is the same as in `Environment`.
+        is_over: whether each episode has ended, so that the next step begins another, shape (m,).
+        task: task of all environments.
 
     Raises:
         DeclarationError: these environments can only be stepped one by one.
@@ -72,9 +72,9 @@ class ManyEnvironments:
             self._pool.shutdown()
 
     def reset(self, seeds: Any | None = None) -> dict[str, Array]:
-        """Begins the next episode of all environments, or the first episode of new seeds (m,).
+        """Begins the next episode of all environments, or the first episode of new seeds.
 
-        Returns copies of the observations by name, shape (m, ...).
+        `seeds` has the shape (m,). Returns copies of the observations by name, shape (m, ...).
         """
         if seeds is not None:
             self.seeds, self.episodes = np.array(seeds), np.full(self.m, -1)
@@ -82,7 +82,10 @@ class ManyEnvironments:
         return self.begin_next()
 
     def begin_next(self) -> dict[str, Array]:
-        """Begins the next episode of environments whose episode has ended; returns as `reset`."""
+        """Begins the next episode of each environment whose episode has ended.
+
+        Returns copies of the observations of all environments by name, shape (m, ...).
+        """
         self._begin(self.is_over.copy())
         self._observed = self._observe(self._states())
         return {name: value.copy() for name, value in self._observed.items()}
@@ -100,10 +103,11 @@ class ManyEnvironments:
         self.is_over[which] = False
 
     def step(self, actions: Any) -> tuple[dict[str, Array], Array, Bools, Bools]:
-        """Simulates a control step with actions (m, n), or begins the next episode after an end.
+        """Simulates a control step, or begins the next episode if an episode has ended.
 
-        Returns copies of observations by name (m, ...), and three arrays (m,): the rewards, whether
-        the motion has become unstable, and whether the episode has reached the end.
+        `actions` has the shape (m, n). Returns copies of the observations by name, shape (m, ...),
+        and three arrays of shape (m,): rewards, whether the motion has become unstable, and whether
+        the episode has reached its end.
 
         Raises:
             ValueError: the actions have a wrong shape.
@@ -171,7 +175,7 @@ class ManyEnvironments:
 
 
 class Lane:
-    """The robots that one thread simulates; `rows` are their environments."""
+    """The robots that one thread simulates; `rows` is the range of their environments."""
 
     def __init__(self, environment: Environment, rows: slice, task: ManyEpisodes) -> None:
         m, n = rows.stop - rows.start, environment.robot.n
@@ -184,7 +188,7 @@ class Lane:
         self._drives = None
         if environment.simulation.drives is not None:
             self._drives = Drives(plant, environment.simulation.robots, scenario.run)
-        self._gains: Array = np.ones((m, n))  # of the drives; faults change them
+        self._gains: Array = np.ones((m, n))  # gains of the drives, which faults change
         self._drive: Array = np.zeros((m, 2, n))
         self._faults = [TimedActions(scenario.run.timestep) for _ in range(m)]
         self._k = np.zeros(m, np.intp)  # steps since the beginning of the episode
@@ -214,7 +218,7 @@ class Lane:
         self._pushes: Array = physics.bind("xfrc_applied")
 
     def place(self, k: int) -> None:
-        """Moves robot k to the state of the environment's robot."""
+        """Moves robot k of the lane to the state of the robot in the environment."""
         seed, angles = self._environment.plant.sensors.seed, self._environment.plant.actual[0]
         plant = self.plant.row(k)
         plant.sensors.seed = seed
@@ -224,7 +228,7 @@ class Lane:
         FaultSchedule(self._environment.scenario, plant, due, self._gains[k])
 
     def begin(self, which: Bools) -> None:
-        """Begins an episode of some of the robots (m,), after `place`."""
+        """Begins an episode of the robots that `which` selects, shape (m,), after `place`."""
         if not which.any():
             return
         if self._drives is not None:
@@ -236,7 +240,9 @@ class Lane:
             self._control.deflection.begin(which, home, self.plant.motor_angles)
 
     def simulate(self, actions: Array, which: Bools, forces: Array) -> Bools:
-        """Simulates a control step of some robots; returns whether each robot is unstable, (m,).
+        """Simulates a control step of selected robots; returns which robots are unstable.
+
+        The result has the shape (m,).
 
         Args:
             actions: actions within the bounds, shape (m, n).

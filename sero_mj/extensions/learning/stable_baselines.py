@@ -1,4 +1,4 @@
-"""`StableBaselinesVector`: environments that are stepped together, for Stable-Baselines3.
+"""Environments that are stepped together, for Stable-Baselines3.
 
 This module requires Stable-Baselines3 (`pip install stable-baselines3`).
 """
@@ -20,7 +20,7 @@ _Some = None | int | Iterable[int]
 
 
 class StableBaselinesVector(VecEnv):  # type: ignore[misc]
-    """Environments of `gymnasium.make_vec("sero_mj/...", num_envs=...)` for Stable-Baselines3.
+    """A Stable-Baselines3 vector of environments from `gymnasium.make_vec("sero_mj/...")`.
 
     When an episode ends, the next one begins in the same step, and the last observation is the
     `terminal_observation` in the info. `VecMonitor` reports the returns of episodes.
@@ -34,7 +34,7 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
         )
 
     def reset(self) -> Observation:
-        """Begins the next episodes, or the first episodes of the seeds set by `seed`."""
+        """Begins the next episodes, or the first episodes of seeds that `seed` has set."""
         seeds = None if None in self._seeds else list(self._seeds)
         observed, _ = self.vector.reset(seed=seeds)
         self._reset_seeds()
@@ -46,7 +46,10 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
         self._actions = actions
 
     def step_wait(self) -> tuple[Observation, Array, Bools, list[dict[str, Any]]]:
-        """Simulates a control step; returns observations, rewards, ended episodes and infos."""
+        """Simulates a control step.
+
+        Returns observations, rewards, whether each episode has ended, and infos.
+        """
         observed, rewards, terminated, truncated, info = self.vector.step(self._actions)
         over = terminated | truncated
         infos: list[dict[str, Any]] = [{"TimeLimit.truncated": bool(cut)} for cut in truncated]
@@ -64,11 +67,11 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
         self.vector.close()
 
     def get_attr(self, attr_name: str, indices: _Some = None) -> list[Any]:
-        """Returns the common attribute once for each environment."""
+        """Returns the value of a shared attribute once for each environment."""
         return [getattr(self.vector, attr_name)] * len(self._chosen(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: _Some = None) -> None:
-        """Sets an attribute of all environments; raises ValueError for a part of them."""
+        """Sets an attribute of all environments; raises ValueError if only some are selected."""
         if len(self._chosen(indices)) != self.num_envs:
             raise Problem(
                 "indices", f"found {indices}", expected=f"None, because {attr_name} is shared"
@@ -78,14 +81,14 @@ class StableBaselinesVector(VecEnv):  # type: ignore[misc]
     def env_method(
         self, method_name: str, *arguments: Any, indices: _Some = None, **options: Any
     ) -> list[Any]:
-        """Raises AttributeError, because there are no objects for single environments."""
+        """Raises AttributeError, because there is no object for a single environment."""
         raise AttributeError(
             f"{method_name}: environments that are stepped together have no separate methods. Use "
             "vectorization_mode='sync' instead."
         )
 
     def env_is_wrapped(self, wrapper_class: type, indices: _Some = None) -> list[bool]:
-        """Returns False for each environment, because single ones have no wrappers."""
+        """Returns False for each environment, because single environments have no wrappers."""
         return [False] * len(self._chosen(indices))
 
     def _chosen(self, indices: _Some) -> Sequence[int]:

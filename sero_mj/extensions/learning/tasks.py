@@ -1,6 +1,6 @@
 """Tasks of environments: `Reach`, `Hold`, and `Expectations` of a scenario.
 
-A `Task` is the declaration of a task. It creates an `Episode` for a robot, which computes rewards
+A `Task` declares the options of a task. It creates an `Episode` for a robot, which computes rewards
 and observations.
 """
 
@@ -27,12 +27,12 @@ from ...simulate.simulation import Simulation
 
 GOAL = "goal"  # the double at the goal is called `ROBOT_goal`
 _MAX_TRIES = 2000
-_MAX_DEPTH = 0.005  # m, penetration of a robot that stands on the floor
+_MAX_DEPTH = 0.005  # maximum penetration of a robot that stands on the floor, m
 _LIMIT_DISTANCE = 0.05  # minimum distance of sampled poses to limits, share of the range
 
 
 class AgentRobot:
-    """The state of the simulated robot that an agent controls, for tasks."""
+    """The state of the simulated robot that an agent controls, for use by tasks."""
 
     def __init__(self, simulation: Simulation, name: str) -> None:
         self.simulation, self.name = simulation, name
@@ -69,7 +69,7 @@ class AgentRobot:
         return self.plant.flange(self.name)
 
     def free_pose(self, rng: np.random.Generator) -> Array:
-        """Returns random joint values (n,) within the limits without contact.
+        """Returns random joint values, shape (n,), within the limits and without contact.
 
         A robot with a free base may touch fixed bodies, for example the floor.
 
@@ -101,12 +101,12 @@ class AgentRobot:
 
 
 class ManyStates:
-    """The states of m equal robots, for tasks.
+    """The states of m equal robots, for use by tasks.
 
     Args:
         angles: true joint values, shape (m, n).
         measured_angles: measured joint values, shape (m, n).
-        flanges_at: function that returns T_world_flange (m, 4, 4) of joint values.
+        flanges_at: function from joint values to T_world_flange, shape (m, 4, 4).
     """
 
     def __init__(
@@ -135,23 +135,23 @@ class ManyEpisodes(ABC):
 
     @abstractmethod
     def begin(self, k: int) -> None:
-        """Begins an episode of robot k, which is the episode that `Episode` has just begun."""
+        """Begins an episode of robot k, by copying the episode that `Episode` has just begun."""
 
     def forces(self, times: Array) -> Array:
-        """Returns forces at the flanges for the next control step in world axes, (m, 3), N."""
+        """Returns forces at the flanges in the next control step, shape (m, 3), world axes, N."""
         return np.zeros((len(times), 3))
 
     @abstractmethod
     def rewards(self, now: ManyStates) -> Array:
-        """Returns rewards from 0 to 1, shape (m,)."""
+        """Returns the rewards of the current states, from 0 to 1, shape (m,)."""
 
     @abstractmethod
     def observations(self, now: ManyStates) -> dict[str, Array]:
-        """Returns observations of the task, shape (m, ...)."""
+        """Returns the observations of the task by name, shape (m, ...)."""
 
 
 class Episode:
-    """A task of one robot, in successive episodes. The base class is a task without content."""
+    """A task of one robot, in successive episodes. The base class has no reward."""
 
     def make_many(self, m: int) -> ManyEpisodes | None:
         """Returns the task for m robots, or None if robots can only be simulated one by one."""
@@ -168,23 +168,23 @@ class Episode:
         return 0.0
 
     def observation(self) -> dict[str, Array]:
-        """Returns observations of the task."""
+        """Returns the observations of the task by name."""
         return {}
 
     def observation_spec(self) -> dict[str, specs.Array]:
-        """Returns shapes and bounds of `observation`."""
+        """Returns the shapes and bounds of `observation`."""
         return {}
 
     def inputs(self) -> dict[str, Array]:
-        """Returns scene inputs that display the goal, such as `lwr_goal.joint_angles` (n,)."""
+        """Returns the values of inputs that display the goal, such as `lwr_goal.joint_angles`."""
         return {}
 
 
 class Task(Declaration, ABC):
-    """Base of the declarations of tasks.
+    """Base class of the declarations of tasks.
 
     Attributes:
-        observed: observed signals of every robot.
+        observed: names of the observed signals of every robot.
     """
 
     observed: ClassVar[tuple[str, ...]] = ("joint_angles", "joint_velocities", "torques")
@@ -194,14 +194,14 @@ class Task(Declaration, ABC):
         """Returns the task for a robot."""
 
     def arrows(self, robot: str) -> list[SmartArrow]:
-        """Returns arrows for display."""
+        """Returns the arrows that display the task."""
         return []
 
 
 def closeness(distance: Any, within: float, margin: float) -> Any:
-    """Returns 1 up to `within`, then 1 / (1 + 9 ((distance - within) / margin)^2).
+    """Returns a reward that is 1 up to the distance `within`, and decreases beyond it.
 
-    The result is 0.1 at the distance `within + margin`.
+    The reward is 1 / (1 + 9 ((distance - within) / margin)^2), so it is 0.1 at `within + margin`.
 
     Source: Tunyasuvunakool et al. 2020, dm_control: Software and Tasks for Continuous Control,
     Software Impacts 6 (`tolerance` with a long tail).
@@ -217,10 +217,10 @@ class Reach(Task):
     is multiplied by c(a, 2 deg, 90 deg) with the angle a. For c, see `closeness`.
 
     Attributes:
-        target: `position`, or `pose` with orientation.
-        within: distance with the full reward, m.
+        target: kind of target: `position`, or `pose` (position and orientation).
+        within: distance up to which the reward is 1, m.
         margin: additional distance at which the reward is 0.1, m.
-        within_angle: angle with the full reward, rad.
+        within_angle: angle up to which the reward is 1, rad.
         margin_angle: additional angle at which the reward is 0.1, rad.
     """
 
@@ -234,7 +234,7 @@ class Reach(Task):
         return ReachEpisode(self, robot)
 
     def rewards(self, flanges: Array, targets: Array) -> Array:
-        """Returns rewards (...,) for poses (..., 4, 4) in the world."""
+        """Returns rewards, shape (...,), for poses in the world, shape (..., 4, 4)."""
         away = flanges[..., :3, 3] - targets[..., :3, 3]
         found = closeness(np.linalg.norm(away, axis=-1), self.within, self.margin)
         if self.target == "pose":
@@ -243,7 +243,7 @@ class Reach(Task):
         return np.asarray(found)
 
     def observations(self, flanges: Array, targets: Array) -> dict[str, Array]:
-        """Returns positions (..., 3), and for poses also quaternions (..., 4), w first."""
+        """Returns positions, shape (..., 3), and for poses also quaternions, (..., 4), w first."""
         found = {
             "flange_position": flanges[..., :3, 3].copy(),
             "target_position": targets[..., :3, 3].copy(),
@@ -255,7 +255,7 @@ class Reach(Task):
 
 
 class ReachEpisode(Episode):
-    """Episodes of `Reach`.
+    """Episodes of the task `Reach`.
 
     Attributes:
         goal: joint values that reach the target, shape (n,).
@@ -298,7 +298,7 @@ class ReachEpisode(Episode):
 
 
 class ManyReaches(ManyEpisodes):
-    """Episodes of `Reach` for m robots."""
+    """Episodes of the task `Reach` for m robots."""
 
     def __init__(self, task: Reach, one: ReachEpisode, m: int) -> None:
         self._task, self._one = task, one
@@ -315,7 +315,7 @@ class ManyReaches(ManyEpisodes):
 
 
 def _quaternions(T: Array) -> Array:
-    # Unique quaternions (..., 4) with w >= 0.
+    # Returns unique quaternions with w >= 0, shape (..., 4).
     found = np.empty((*T.shape[:-2], 4))
     for quaternion, rotation in zip(
         found.reshape(-1, 4), T[..., :3, :3].reshape(-1, 9), strict=True
@@ -336,7 +336,7 @@ class Hold(Task):
         every: mean time between pushes, s.
         shortest: minimum duration of a push, s.
         longest: maximum duration of a push, s.
-        within: error with the full reward, rad or m.
+        within: error up to which the reward is 1, rad or m.
         margin: additional error at which the reward is 0.1, rad or m.
     """
 
@@ -352,7 +352,7 @@ class Hold(Task):
         return HoldEpisode(self, robot)
 
     def rewards(self, angles: Array, poses: Array) -> Array:
-        """Returns rewards (...,) for joint values (..., n)."""
+        """Returns rewards, shape (...,), for joint values, shape (..., n)."""
         errors = np.abs(angles - poses).max(axis=-1)
         return np.asarray(closeness(errors, self.within, self.margin))
 
@@ -361,7 +361,7 @@ class Hold(Task):
 
 
 class HoldEpisode(Episode):
-    """Episodes of `Hold`."""
+    """Episodes of the task `Hold`."""
 
     def __init__(self, task: Hold, robot: AgentRobot) -> None:
         self._task, self._robot = task, robot
@@ -380,7 +380,7 @@ class HoldEpisode(Episode):
 
     @property
     def pushes(self) -> tuple[Array, Array]:
-        """Begin and end times (k, 2) in s, and forces (k, 3) in N."""
+        """Start and end times of k pushes, shape (k, 2), s, and forces, shape (k, 3), N."""
         return self._times, self._forces
 
     def begin(self, rng: np.random.Generator) -> None:
@@ -417,14 +417,14 @@ class HoldEpisode(Episode):
 
 
 class ManyHolds(ManyEpisodes):
-    """Episodes of `Hold` for m robots."""
+    """Episodes of the task `Hold` for m robots."""
 
     pushes = True
 
     def __init__(self, task: Hold, one: HoldEpisode, m: int) -> None:
         self._task, self._one = task, one
         self._poses: Array = np.tile(one.pose, (m, 1))
-        # All robots have the same number of pushes; additional ones have the duration 0.
+        # All robots have the same number of pushes. Additional pushes have the duration 0.
         self._times: Array = np.zeros((m, 0, 2))
         self._forces: Array = np.zeros((m, 0, 3))
 
@@ -454,8 +454,8 @@ class Expectations(Task):
 
     The reward is the mean over all expectations that are active at this time: 1 if the measure is
     within its bounds, otherwise `below / value` or `value / above`. Without active expectations, it
-    is 1. Expectations of findings, `rms`, `mean`, a `max` above or a `min` below a bound have no
-    reward; the simulation's `outcomes` evaluates them at the end.
+    is 1. Expectations of findings, of `rms` or `mean`, of a `max` above a bound, and of a `min`
+    below a bound have no reward. `Simulation.outcomes` evaluates them at the end.
     """
 
     observed: ClassVar[tuple[str, ...]] = (
@@ -468,7 +468,7 @@ class Expectations(Task):
 
 
 class ExpectationsEpisode(Episode):
-    """Episodes of `Expectations`."""
+    """Episodes of the task `Expectations`."""
 
     def __init__(self, robot: AgentRobot) -> None:
         self._robot = robot

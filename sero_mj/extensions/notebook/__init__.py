@@ -1,5 +1,5 @@
-"""The page of a viewer in a notebook cell.
+"""Displays the page of a viewer in a notebook cell.
 
-In: a viewer. Out: the viewer's page in a cell, and the last minute as a run in the notebook file.
+In: a viewer. Out: the viewer's page in a cell, and a run of the last minute in the notebook file.
 Open first: `cells.py`.
 """

@@ -1,9 +1,9 @@
-"""`Cells`: the page of a viewer in notebook cells, connected through the kernel's own channel.
+"""`Cells`: displays the page of a viewer in notebook cells, connected by the kernel's channel.
 
 Browsers need no port and no proxy. A cell has two outputs: a frame with the page, and a hidden
-element with the run of the last minute. A saved notebook contains both; without a kernel, the page
-plays the run. An anywidget, `player/js/src/bridge.js`, forwards the messages of each browser that
-displays the cell to its own connection with the viewer's server.
+element with the run of the last minute. A saved notebook contains both outputs. If there is no
+kernel, the page plays the run. An anywidget, `player/js/src/bridge.js`, forwards the messages of
+each browser that displays the cell. Each browser has its own connection to the viewer's server.
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from ...viewer.player.page import cell_page, requested_look
 from ...viewer.program.process import ViewerProcess
 from ...viewer.web.server import socket_url
 
-_RUN = "shown_run"  # the tool that captures the run
-_HEIGHT = 600  # pixels
-_FIRST = "first"  # the connection of the first page, see `bridge.js`
-_ALIVE = 5.0  # s between messages by which the kernel reports that it is running
-_GONE = 15.0  # s without a message after which a page is considered closed; pages send every 4 s
-_TICK = 0.05  # s to wait for a message; a busy kernel receives none from its pages
-_GOT = '{"t":"got"}'  # the answer of a page to a message
-_LAST_RUN = 3.0  # s to wait for the last run when a viewer is closed
+_RUN = "shown_run"  # name of the tool that captures the run
+_HEIGHT = 600  # height of the frame with the page, pixels
+_FIRST = "first"  # name of the connection of the first page, see `bridge.js`
+_ALIVE = 5.0  # time between messages by which the kernel reports that it is running, s
+_GONE = 15.0  # time without a message after which a page counts as closed, s; pages send every 4 s
+_TICK = 0.05  # maximum time to wait for a message, s
+_GOT = '{"t":"got"}'  # message by which a page acknowledges a message
+_LAST_RUN = 3.0  # maximum time to wait for the last run when a viewer is closed, s
 
 Send = Callable[[Mapping[str, Any], Sequence[bytes]], None]
 
@@ -81,7 +81,9 @@ class Cells:
     """The notebook cells that display a viewer.
 
     Args:
-        url: address of the page on this machine.
+        scene: scene of the viewer.
+        url: address of the viewer's page on this machine.
+        process: process of the viewer.
     """
 
     def __init__(self, scene: Scene, url: str, process: ViewerProcess) -> None:
@@ -98,7 +100,7 @@ class Cells:
         else:
             self._process.answers[_RUN] = self._store
             self._cells.append(_Cell(self._title, self._look, self._url))
-            self._process.tell(_RUN, "begin")
+            self._process.send(_RUN, "begin")
 
     def _store(self, run: str) -> None:
         for cell in self._cells:
@@ -108,7 +110,7 @@ class Cells:
     def store_last(self) -> None:
         if self._cells:
             self._has_run.clear()
-            self._process.tell(_RUN, "now")
+            self._process.send(_RUN, "now")
             self._has_run.wait(_LAST_RUN)
 
     def close(self, *, is_exit: bool = False) -> None:
@@ -166,10 +168,9 @@ class _Visitor:
         self._url, self._send = url, send
         self._kernel, self._heard = kernel, time.monotonic()
         self._lock = threading.Lock()
-        self._unanswered = 0  # messages
-        self._answered_early = (
-            0  # messages acknowledged here before the page's acknowledgment arrived
-        )
+        self._unanswered = 0  # number of messages without an acknowledgment
+        # A busy kernel receives nothing from its pages, so it acknowledges messages itself.
+        self._answered_early = 0  # number of such acknowledgments
         self._socket: ClientConnection | None = None
         self.is_gone = False
         threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()
@@ -192,7 +193,7 @@ class _Visitor:
                 self._socket.send(text)
 
     def close(self, *, is_exit: bool = False) -> None:
-        if is_exit:  # the kernel sends nothing any more
+        if is_exit:  # The kernel can no longer send messages.
             self._send = lambda message, buffers: None
         if self._socket is not None:
             self._socket.close()

@@ -1,4 +1,4 @@
-"""`ShownRun`: captures the last displayed minute as a run, which the notebook stores."""
+"""`ShownRun`: captures the last minute of displayed frames as a run for a notebook."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ...viewer.session.tool import Shown, Tool
 
 SPAN = 60.0  # duration of the stored run, s
 _FPS = 20.0
-_MAX_REST = 0.5  # s; longer periods without a change are shortened to this
-_INTERVAL = 10.0  # s between two stored runs
+_MAX_REST = 0.5  # maximum time between two different frames in the run, s
+_INTERVAL = 10.0  # minimum time between two stored runs, s
 
 
 class ShownRun(Tool):
-    """Captures displayed frames after the notebook has sent `begin`."""
+    """Tool that captures displayed frames after the notebook has sent the message `begin`."""
 
     order: ClassVar[int] = 80
 
@@ -31,22 +31,22 @@ class ShownRun(Tool):
         super().__init__(shown)
         self._capturer: FrameCapturer | None = None
         self._frames: deque[tuple[float, CapturedFrame]] = deque()
-        self._taken = 0.0  # time of the last frame, on the clock of `time.monotonic`
-        self._time = 0.0  # time in the run, s
-        self._sent = 0.0  # time of the last run, on the clock of `time.monotonic`
+        self._taken = 0.0  # time of the last frame on the clock of `time.monotonic`, s
+        self._time = 0.0  # time of the last frame in the run, s
+        self._sent = 0.0  # time of the last run on the clock of `time.monotonic`, s
         self._is_new = False
         self._thread: threading.Thread | None = None
-        self._run: str | None = None  # the finished run
+        self._run: str | None = None  # finished run that was not sent yet
 
     def receive(self, message: str) -> None:
-        """Starts capturing (`begin`), or makes `reply` return the run immediately (`now`)."""
+        """Starts capturing for the message `begin`. For `now`, `reply` makes a run at once."""
         if message == "now":
             self._sent, self._is_new = 0.0, bool(self._frames)
         elif self._capturer is None:
             self._capturer = FrameCapturer(self.shown.world, self.shown.view_camera)
 
     def draw(self, frame: Frame) -> None:
-        """Captures the frame if it differs from the last one."""
+        """Captures a frame if it differs from the last captured one."""
         now = time.monotonic()
         passed = now - self._taken
         if self._capturer is None or passed < 1.0 / _FPS - 1e-3:
@@ -61,7 +61,7 @@ class ShownRun(Tool):
             self._frames.popleft()
 
     def reply(self) -> str | None:
-        """Returns a new run in the packed format of pages, or None."""
+        """Returns a new run in the format of `packed`, or None."""
         run, self._run = self._run, None
         is_making = self._thread is not None and self._thread.is_alive()
         if run is None and self._is_new and not is_making:

@@ -1,4 +1,4 @@
-"""`Photos`: the option `--over` of `render` and `view`, for photos, videos and cameras."""
+"""`Photos`: the option `--over` of `render` and `view` for photos, videos and cameras."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 class Photos(Background):
-    """Photos and videos in files, and live cameras."""
+    """The backgrounds that `--over` accepts: photos and videos in files, and live cameras."""
 
     def render(self, options: Options, over: Path) -> list[str]:
         assert isinstance(options, RenderOptions)
@@ -91,10 +91,9 @@ def offset_of_video(
     offset: float | Literal["auto"] | None = None,
     quiet: bool = False,
 ) -> float:
-    """Returns the time of a recording or scenario at which a video starts, s.
+    """Returns the time of a recording or scenario in seconds at which a video starts.
 
-    This is `offset` if it is a number, or else an estimate from the motion in the video and the
-    recording.
+    If `offset` is not a number, the time is estimated from the motion in video and recording.
     """
     if isinstance(offset, float) or not scene.sources:
         return float(offset or 0.0)

@@ -1,4 +1,4 @@
-"""`sero-mj calibrate`: computes a camera's pose from points of the robot in a photo."""
+"""`sero-mj calibrate`: computes the pose of a camera from points of the robot in a photo."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from .calibration import Calibration, ClickedPoint
     from .photo_camera import PhotoCamera
 
-_MAX_CLICK_ERROR = 6.0  # pixels
+_MAX_CLICK_ERROR = 6.0  # maximum root mean square error of careful clicks, pixels
 _HELP = """\
 examples:
   sero-mj calibrate photo.png --robot lwr --joint-angles 0,0.5,0,-1.5,0,1,0 -o cell.toml
@@ -40,7 +40,7 @@ the marked point in the photo. From the fourth point on, the window shows the er
 Enter writes the camera file and the points.
 
 points.csv contains points of the robot and their pixels, counted from 0 at the upper left. A point
-is a frame or a joint (the middle of its axis), with an optional offset in m along the frame's axes:
+is a frame or a joint (the middle of its axis), with an optional offset in m along the frame axes:
 
   point,x,y,dx,dy,dz
   lwr/flange,612,301,0,0,0
@@ -53,13 +53,13 @@ GROUP, ORDER = "see", 16
 
 
 class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
-    """Compute a camera's pose from points of the robot in a photo.
+    """Compute the pose of a camera from points of the robot in a photo.
 
     Attributes:
-        photo: photo taken by the camera.
+        photo: photo that the camera has taken.
         robot: file or included name of a robot or scene.
         joint_angles: joint angles of the robot in the photo, separated by commas, rad or m.
-        replay: take the pose from a recording.
+        replay: take the joint angles from a recording.
         start: time of the photo in the recording, s (default: the first packet).
         points: .csv or .toml file with points of the robot and their pixels.
         camera_file: YAML or TOML file with the intrinsics of the camera.
@@ -77,14 +77,14 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
 
 
 def run(options: CalibrateOptions) -> int:
-    """Computes the camera pose, writes the camera file, and returns exit code 0."""
+    """Runs `sero-mj calibrate`, and returns exit code 0."""
     from ...viewer.image.backend import has_display
 
     if options.points is None and not options.names:
         if not has_display():
             raise UsageError(
-                "there is no display for a window to click points in; use --points POINTS.csv with "
-                "the pixels of points of the robot"
+                "there is no display for a window in which to click points; use --points "
+                "POINTS.csv with points of the robot and their pixels"
             )
         os.environ["MUJOCO_GL"] = "glfw"  # MuJoCo uses the OpenGL context of the window
     from .calibration import calibrate, point_names, point_of, read_points, write_points
@@ -208,12 +208,12 @@ def _report(options: CalibrateOptions, clicked: list[ClickedPoint], found: Calib
     table.add_column("")
     for point, distance, is_used in zip(clicked, off, found.used, strict=True):
         at = [f"{value:.1f}" for value in point.pixel]
-        note = "" if is_used else "ignored: wrong pixel or name?"
+        note = "" if is_used else "ignored; check its pixel and name"
         table.add_row(point.name, *at, f"{distance:.2f} pixels", note)
     print_table(table)
     print(f"root mean square error of {int(found.used.sum())} points: {found.rms:.2f} pixels")
     if found.rms > _MAX_CLICK_ERROR:
-        print("this exceeds the error of careful clicks: wrong pose, swapped names, or wrong lens?")
+        print("This exceeds the error of careful clicks. Check the pose, names and intrinsics.")
     errors = ", ".join(f"{value:.1f}" for value in 1e3 * found.position_error)
     place = ", ".join(f"{value:.4f}" for value in T[:3, 3])
     print(f"camera at {place} m, standard errors {errors} mm")

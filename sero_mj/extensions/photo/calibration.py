@@ -1,7 +1,7 @@
-"""Computes a camera's pose from points of the robot with known pixels (PnP with OpenCV).
+"""Computes the pose of a camera from points of the robot with known pixels (PnP with OpenCV).
 
-A point is given by a frame of the scene (`lwr/flange`) or a joint (`lwr/A3`, the middle of the
-joint axis), and an offset along the frame's axes.
+A point is described by a frame of the scene (`lwr/flange`) or a joint (`lwr/A3`, the middle of its
+axis), and an offset along the axes of the frame.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from ...robots.assemble.world_view import WorldView
 from .photo_camera import PhotoCamera, opencv
 
 _MIN_POINTS, _MIN_WITH_FOCAL = 4, 6
-_FLATNESS = 1e-3  # maximum distance of coplanar or collinear points, fraction of their extent
-_AMBIGUOUS = 1.5  # multiple of the smallest error up to which other cameras also fit
+_FLATNESS = 1e-3  # maximum deviation of coplanar or collinear points, fraction of their extent
+_AMBIGUOUS = 1.5  # multiple of the smallest error up to which another camera also fits
 _CLICK_ERROR = 3.0  # maximum error of a careful click, pixels
 _MAX_SUBSETS = 1000
 _MAX_MEAN_ERROR = 0.05  # maximum mean error of a valid camera, fraction of the image width
 _NO_CAMERA = Problem(
     "",
     "no camera fits the points",
-    expected="the robot's pose in the photo, and the correct names of points",
+    expected="the pose of the robot in the photo, and the correct names of points",
 )
-_FOCAL = (0.3, 6.0)  # range of the focal length, fractions of the image's larger side
+_FOCAL = (0.3, 6.0)  # range of the focal length, fractions of the larger image side
 _SAME_POINT = 2e-3  # distance below which two points are the same, m
 _LINK = re.compile(r"link\d+")
 _COLUMNS = ("point", "x", "y")
@@ -46,12 +46,12 @@ _OFFSETS = ("dx", "dy", "dz")
 
 @dataclass(frozen=True, eq=False)
 class ClickedPoint:
-    """A point of the robot in a photo.
+    """A point of the robot and its pixel in a photo.
 
     Attributes:
         pixel: coordinates to the right and down from the center of the upper left pixel, shape
-            (2,).
-        offset: offset along the axes of the frame, shape (3,), m.
+            (2,), pixels.
+        offset: offset from the frame or joint along the axes of the frame, shape (3,), m.
         place: file and line that declare the point.
     """
 
@@ -66,9 +66,9 @@ class Calibration:
     """The result of a calibration.
 
     Attributes:
-        errors: reprojection error of each point, shape (k, 2), pixels.
-        used: mask (k,) of the points that were used. All other points are outliers.
-        position_error: standard error of the camera's position, shape (3,), m.
+        errors: reprojection errors of all points, shape (k, 2), pixels.
+        used: mask of the points that were used, shape (k,). All other points are outliers.
+        position_error: standard error of the camera position, shape (3,), m.
         focal_error: standard error of the focal length, pixels; 0 if the focal length was known.
     """
 
@@ -85,7 +85,7 @@ class Calibration:
 
 
 def point_names(world: WorldView) -> list[str]:
-    """Returns the valid names of points, frames first."""
+    """Returns the names of all frames and joints that can be used as points."""
     return [*world.frames.names, *_joints(world)]
 
 
@@ -99,9 +99,9 @@ def _joints(world: WorldView) -> dict[str, int]:
 
 
 def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
-    """Returns the names of points to click, in order from the base to the flange of each robot.
+    """Returns the names of distinct points that users click, from base to flange of each robot.
 
-    Frames of links that coincide with a joint are omitted.
+    If several frames or joints coincide, only one of them is included.
     """
     ends = [name for name in world.frames.names if not _LINK.fullmatch(name.partition("/")[2])]
     found: dict[str, Array] = {}
@@ -122,7 +122,7 @@ def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
 
 
 def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
-    """Writes points to a table for `read_points`.
+    """Writes points to a .csv file, which `read_points` can read.
 
     Raises:
         UsageError: the file cannot be written.
@@ -139,7 +139,7 @@ def write_points(path: Path, points: Sequence[ClickedPoint]) -> None:
 
 
 def full_name(world: WorldView, name: str) -> str:
-    """Returns the full name of a point from a name that may omit the robot if it is unambiguous.
+    """Returns the full name of a point, whose robot may be omitted if the name is unambiguous.
 
     Raises:
         ValueError: no point has this name, or points of several robots have it.
@@ -157,7 +157,7 @@ def full_name(world: WorldView, name: str) -> str:
 
 
 def point_of(world: WorldView, data: mujoco.MjData, name: str, offset: Array) -> Array:
-    """Returns a point's world position (3,), m; `offset` (3,), m, is along its frame's axes."""
+    """Returns the world position (3,), m, of a point with an offset (3,), m, in its frame."""
     joints = _joints(world)
     if name not in joints:
         T = world.frame(data, name)
@@ -174,7 +174,7 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
     `[[points]]` with `point`, `pixel = [x, y]` and `offset = [dx, dy, dz]`.
 
     Raises:
-        DeclarationError: all errors of the file.
+        DeclarationError: the file is invalid. The exception lists all errors.
     """
     problems: list[Problem] = []
     if path.suffix.lower() == ".toml":
@@ -221,7 +221,7 @@ def _toml_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
                  for name in row if name not in known]  # fmt: skip
         wrong += [Problem(f"{key}.{name}", "is required") for name in known[:2] if name not in row]
         if not wrong and not isinstance(row["point"], str):
-            wrong = [Problem(f"{key}.point", found=row["point"], expected="a name")]
+            wrong = [Problem(f"{key}.point", found=row["point"], expected="the name of a point")]
         problems += located(wrong, path, lines)
         if not wrong:
             rows.append({"offset": [0, 0, 0], **row, "key": key, "line": lines.get(key)})
@@ -251,9 +251,8 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
             offset = [float(row.get(name) or 0.0) for name in _OFFSETS]
         except (TypeError, ValueError):
             found = ",".join(str(value) for value in row.values() if value is not None)
-            problems.append(
-                Problem(found=found, expected="a name and pixels", file=str(path), line=line)
-            )
+            expected = "the name of a point and its pixel"
+            problems.append(Problem(found=found, expected=expected, file=str(path), line=line))
             continue
         rows.append({"point": str(row["point"]).strip(), "pixel": pixel, "offset": offset,
                      "key": "", "line": line})  # fmt: skip
@@ -263,15 +262,16 @@ def _csv_rows(path: Path, problems: list[Problem]) -> list[dict[str, Any]]:
 def calibrate(
     names: Sequence[str], points: Array, pixels: Array, camera: PhotoCamera, *, find_focal: bool
 ) -> Calibration:
-    """Computes the pose of a camera.
+    """Computes the pose of a camera from points with known pixels.
 
     Args:
-        camera: camera with the known lens parameters. Its pose is ignored.
-        find_focal: whether to compute the focal length, too, which is then equal for x and y.
+        points: world positions of the points, shape (k, 3), m.
+        camera: camera with known lens parameters. Its pose is ignored.
+        find_focal: whether the focal length, which is equal for x and y, is computed, too.
 
     Raises:
-        UsageError: there are too few points, the points are collinear, they are coplanar and two
-            cameras fit, or no camera fits.
+        UsageError: there are too few points, the points are collinear, two cameras fit coplanar
+            points, or no camera fits.
     """
     required = _MIN_WITH_FOCAL if find_focal else _MIN_POINTS
     if len(points) < required:
@@ -281,13 +281,13 @@ def calibrate(
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     if spread[1] < _FLATNESS * spread[0]:
         raise UsageError(
-            "the points are on one line, about which the camera could rotate; add others"
+            "the points are on one line, about which the camera could rotate; add other points"
         )
     is_flat = bool(spread[2] < _FLATNESS * spread[0])
     if is_flat and find_focal:
         raise UsageError(
             "the points are in one plane, whose distance is unknown without the focal length; add "
-            "a point outside of the plane, or use --camera-file with the camera's intrinsics"
+            "a point outside of the plane, or use --camera-file with the intrinsics of the camera"
         )
     used = np.ones(len(points), bool)
     solver = _Solver(camera, find_focal=find_focal)
@@ -369,7 +369,7 @@ class _Solver:
     @staticmethod
     def _pose(camera: PhotoCamera, points: Array, pixels: Array) -> PhotoCamera:
         cv2 = opencv()
-        # Pixels after removing the distortion.
+        # `plain` contains pixels without distortion, relative to the image center.
         K = camera.matrix
         plain = camera.undistort(pixels) * (K[0, 0], K[1, 1])
         diagonal = np.diag([K[0, 0], K[1, 1], 1.0])
@@ -381,15 +381,15 @@ class _Solver:
                 turn, shift = cv2.solvePnPRefineLM(
                     points, plain[:, None], diagonal, None, turn, shift
                 )
-        except cv2.error:  # identical pixels, for example
+        except cv2.error:  # for example if pixels are identical
             done = False
         if not done or not np.isfinite([turn, shift]).all():
             raise UsageError(_NO_CAMERA)
         return _placed(camera, turn, shift)
 
     def without_outliers(self, points: Array, pixels: Array, required: int) -> Bools:
-        # Least median of squares over subsets of points. Source: Rousseeuw and Leroy, Robust
-        # Regression and Outlier Detection, 1987.
+        # This is the least median of squares over subsets of points. Source: Rousseeuw and Leroy,
+        # Robust Regression and Outlier Detection, 1987.
         count = len(points)
         subsets = list(itertools.combinations(range(count), required))
         if len(subsets) > _MAX_SUBSETS:
@@ -415,7 +415,7 @@ class _Solver:
         used = distances <= limit if np.isfinite(best) else np.ones(count, bool)
         if used.sum() < required:
             return np.ones(count, bool)
-        # The camera fitted to all inliers is more accurate than that of a subset.
+        # A camera that is fitted to all inliers is more accurate than one fitted to a subset.
         found = self.solve(points[used], pixels[used])
         errors = np.linalg.norm(found.project(points)[0] - pixels, axis=1)
         return np.asarray(errors <= max(limit, 3.0 * _rms((errors[used])[:, None])))

@@ -1,4 +1,4 @@
-"""Images of a live camera (`CameraFeed`), or of a video at the displayed time (`VideoFeed`).
+"""Reads images of a live camera (`CameraFeed`), or of a video at the displayed time (`VideoFeed`).
 
 Both feeds read images on a separate thread.
 """
@@ -23,20 +23,20 @@ _FIRST_TIMEOUT = 10.0  # maximum time until the first image of a camera, s
 _RETRY_INTERVAL = 1.0  # time between attempts to reopen a lost camera, s
 _LOST_AFTER = 0.7  # time without an image after which a camera is lost, s
 _TIME_TOLERANCE = 1e-4  # s
-_MAX_SEQUENTIAL = 2.0  # s; frames further ahead are reached by seeking
-_RATE_WEIGHT = 0.1  # weight of the last interval in the mean
+_MAX_SEQUENTIAL = 2.0  # maximum time in s by which a video advances without seeking
+_RATE_WEIGHT = 0.1  # weight of the last interval in the mean interval of images
 
 
 class CameraFeed:
-    """Reads images of a camera until the feed is closed, as a context manager.
+    """Context manager that reads images of a camera until it is closed.
 
     If the connection is lost, `piece` reports this, the last image stays visible, and the camera is
     reopened.
 
     Args:
-        what: number of a camera, such as `0`; video file, which is played repeatedly at its frame
-            rate; or address for OpenCV, such as `rtsp://...` or `/dev/video0`.
-        camera_file: camera file, see the module `camera_file`.
+        what: number of a camera, such as `0`, an address for OpenCV, such as `rtsp://...` or
+            `/dev/video0`, or a video file, which is played repeatedly at its frame rate.
+        camera_file: file with the intrinsics and the pose of the camera.
 
     Raises:
         RenderError: the camera sends no image.
@@ -49,7 +49,7 @@ class CameraFeed:
         self.name = f"camera {what}" if what.isdecimal() else what
         if not self.is_file and Path(what).suffix and "://" not in what and "/dev/" not in what:
             raise RenderError(
-                f"{what}: no such file; expected a video, or the number of a camera such as 0"
+                f"{what}: no such file; expected a video, or a camera number such as 0"
             )
         self._changed = threading.Condition()
         self._pixels: Pixels | None = None
@@ -77,7 +77,7 @@ class CameraFeed:
             raise
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the newest image's number, starting at 1, and its pixels (height, width, 3)."""
+        """Returns the number of the newest image, from 1 on, and its pixels (height, width, 3)."""
         with self._changed:
             assert self._pixels is not None  # the constructor waits for the first image
             return self._number, self._pixels
@@ -91,7 +91,8 @@ class CameraFeed:
             return f"{self.name}: lost for {age:.0f} s{error and ', '}{error}", "bad"
         if wrong is not None:
             expected = f"{self.camera.width}x{self.camera.height}"
-            return f"{self.name}: sends {wrong[0]}x{wrong[1]}; expected {expected}", "bad"
+            what = f"sends images of {wrong[0]}x{wrong[1]} pixels; expected {expected} pixels"
+            return f"{self.name}: {what}", "bad"
         rate = 1.0 / interval if interval > 0 else 0.0
         return f"{self.name}: {rate:.0f}/s", "good"
 
@@ -155,7 +156,10 @@ class CameraFeed:
         capture = cv2.VideoCapture(int(self.what) if self.what.isdecimal() else self.what)
         try:
             if not capture.isOpened():
-                raise RenderError("no such camera, or it is in use; expected 0, 1, ... or a video")
+                raise RenderError(
+                    "there is no such camera, or it is in use; expected a camera number such as 0, "
+                    "or a video"
+                )
             if self._wanted is not None:
                 capture.set(cv2.CAP_PROP_FRAME_WIDTH, self._wanted[0])
                 capture.set(cv2.CAP_PROP_FRAME_HEIGHT, self._wanted[1])
@@ -169,12 +173,13 @@ class CameraFeed:
 
 
 class VideoFeed:
-    """Reads a video at the displayed time, forward and backward, as a context manager.
+    """Context manager that reads the frame of a video at the displayed time, also backward.
 
-    Frames are decoded on a separate thread. While it seeks, the last frame stays visible.
+    The video starts at the displayed time `offset` in seconds. Frames are decoded on a separate
+    thread. The last frame stays visible until the next one is decoded.
 
     Attributes:
-        camera: camera declared by the camera file.
+        camera: camera that the camera file describes.
 
     Raises:
         RenderError: the video cannot be read.
@@ -270,7 +275,7 @@ class VideoFeed:
             self._changed.notify_all()
 
     def _wait_for_next(self, at: float, end: float) -> bool:
-        # Returns whether to read on after the frame that is displayed from `at` to `end`.
+        # Returns whether the frame after the one that is displayed from `at` to `end` is needed.
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end

@@ -1,14 +1,14 @@
-"""Camera files: intrinsics and pose of a camera, in the formats of OpenCV, ROS and sero-mj.
+"""Camera files: intrinsics and pose of a camera in the formats of OpenCV, ROS and sero-mj.
 
-- YAML of OpenCV's `FileStorage` and its calibration sample: `camera_matrix`,
-  `distortion_coefficients`, `image_width`, `image_height`; `fisheye_model: 1`.
-- YAML of ROS: the same keys, matrices with `rows`, `cols` and `data`, and `distortion_model`.
-  Messages `camera_info` (`K`, `D`, `width`, `height`) are also supported.
-- TOML: the same keys with lists, or `intrinsics = "camera.yaml"` for a YAML file.
+- YAML files of OpenCV (`FileStorage`) have the keys `camera_matrix`, `distortion_coefficients`,
+  `image_width` and `image_height`, and `fisheye_model: 1` for fisheye lenses.
+- YAML files of ROS have the same keys and `distortion_model`. Matrices have `rows`, `cols` and
+  `data`. Messages `camera_info` (`K`, `D`, `width`, `height`) are also supported.
+- TOML files have the same keys with lists, or `intrinsics = "camera.yaml"` for a YAML file.
 
 Each file can declare T_world_camera as `frame`, in the same form as in scenes: 4 x 4 numbers, or a
-table of `xyz` (m) and `quat` (w, x, y, z), `rpy` or `rpy_deg`. The camera's x axis points to the
-right of the image, y points down and z forward, as in OpenCV and in the optical frames of ROS.
+table of `xyz` (m) and `quat` (w, x, y, z), `rpy` or `rpy_deg`. The x axis of the camera points to
+the right of the image, y points down and z forward, as in OpenCV and the optical frames of ROS.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ log = logging.getLogger(__name__)
 
 ENDINGS = (".yaml", ".yml", ".toml")
 _MAX_BYTES = 1_000_000
-_MAX_SIDE = 16384  # pixels
-_MIN_DRAWABLE = 0.75  # minimum fraction of the image in which the coefficients are valid
+_MAX_SIDE = 16384  # maximum width and height of images, pixels
+_MIN_DRAWABLE = 0.75  # minimum fraction of the image in which distortion coefficients are valid
 # Lowercase names of the keys in all formats.
 _KEYS = {
     "camera_matrix": ("camera_matrix", "k"),
@@ -56,19 +56,19 @@ _KEYS = {
     "intrinsics": ("intrinsics",),
 }
 _OTHER_NAMES = {"fisheye": "equidistant", "kannala_brandt": "equidistant", "radtan": "plumb_bob"}
-_REQUIRED = "is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, from a calibration"
+_REQUIRED = "is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels from a camera calibration"
 
 
 def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera with its pose in the world.
+    """Reads the intrinsics and the pose of a camera from a camera file.
 
     Args:
-        size: width and height of the camera's images, pixels (default: those of the file).
+        size: width and height of the images, pixels (default: the size in the file).
 
     Raises:
         DeclarationError: the file is invalid, or is for images of another size. The exception lists
             all errors.
-        UsageError: a package needed to read the file is not installed.
+        UsageError: a package that is needed to read the file is not installed.
     """
     problems: list[Problem] = []
     table = _table(path)
@@ -80,7 +80,7 @@ def read_camera(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
 
 
 def read_intrinsics(path: Path, size: tuple[int, int] | None = None) -> PhotoCamera:
-    """Reads a camera file that may lack the pose, see `read_camera`."""
+    """Reads the intrinsics of a camera from a camera file, and ignores the pose."""
     problems: list[Problem] = []
     camera = _camera(path, _table(path), size, problems)
     if problems or camera is None:
@@ -142,8 +142,8 @@ def _yaml(path: Path) -> dict[str, Any]:
             f"{path}: YAML needs PyYAML ({error}): run `pip install 'sero-mj[camera]'`, or use TOML"
         ) from None
 
-    class Loader(yaml.SafeLoader):  # type: ignore[misc]  # it has no types
-        """Reads matrices of OpenCV as tables."""
+    class Loader(yaml.SafeLoader):  # type: ignore[misc]  # PyYAML has no types
+        """A YAML loader that reads matrices of OpenCV as tables."""
 
     Loader.add_constructor(
         "tag:yaml.org,2002:opencv-matrix",
@@ -178,7 +178,7 @@ def _numbers(value: Any) -> Array:
             raise mismatch(data.size, f"{shape[0]} x {shape[1]}", of="numbers")
         return data
     if isinstance(value, list) and any(isinstance(each, str) for each in value):
-        with contextlib.suppress(ValueError):  # PyYAML reads 1e-05, without a point, as a string
+        with contextlib.suppress(ValueError):  # PyYAML reads numbers such as 1e-05 as strings
             value = [float(each) for each in value]
     return numbers(value)
 
@@ -194,9 +194,9 @@ def _camera(
         if found is None and size is not None:
             found = size[axis]
         if found is None:
-            problems.append(Problem(key, "is required: size of the images, pixels"))
+            problems.append(Problem(key, "is required: the size of the images in pixels"))
         elif type(found) not in (int, float) or found % 1 or not 1 <= found <= _MAX_SIDE:
-            problems.append(Problem(key, found=found, expected=f"pixels, 1 to {_MAX_SIDE}"))
+            problems.append(Problem(key, found=found, expected=f"1 to {_MAX_SIDE} pixels"))
         else:
             sides.append(int(found))
     if len(sides) == 2 and size is not None and tuple(sides) != size:
@@ -209,8 +209,8 @@ def _camera(
         return None
     centre = matrix[:2, 2] / sides
     if (centre < -1).any() or (centre > 2).any():
-        expected = f"it near the image, {sides[0]}x{sides[1]}"
-        found = f"found the center at {matrix[0, 2]:g}, {matrix[1, 2]:g}"
+        expected = f"a center near the image of {sides[0]}x{sides[1]} pixels"
+        found = f"found the center at pixel {matrix[0, 2]:g}, {matrix[1, 2]:g}"
         problems.append(Problem("camera_matrix", found, expected=expected))
         return None
     return PhotoCamera(sides[0], sides[1], matrix, np.eye(4), distortion, model)  # type: ignore[arg-type]
@@ -242,7 +242,7 @@ def _matrix(table: dict[str, Any], problems: list[Problem]) -> Array | None:
         wrong(f"found a skew of {matrix[0, 1]:g}; expected 0, as in OpenCV")
     elif min(matrix[0, 0], matrix[1, 1]) <= 0:
         found = f"fx = {matrix[0, 0]:g}, fy = {matrix[1, 1]:g}"
-        wrong(f"found {found} (not calibrated); expected pixels above 0")
+        wrong(f"found {found} (not calibrated); expected focal lengths above 0 pixels")
     else:
         return matrix
     return None
@@ -259,7 +259,7 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
     model = table.get("distortion_model") or None
     if model is None and table.get("fisheye_model"):
         model = "equidistant"
-    if model is None:  # files from OpenCV do not state it
+    if model is None:  # files of OpenCV do not state the model
         model = "plumb_bob" if distortion.size <= 5 else "rational_polynomial"
     if not isinstance(model, str) or _OTHER_NAMES.get(model.lower(), model.lower()) not in MODELS:
         near = did_you_mean(str(model), (*MODELS, *_OTHER_NAMES))
@@ -290,8 +290,8 @@ def _distortion(table: dict[str, Any], problems: list[Problem]) -> tuple[str | N
 def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
     if table.get("frame") is None:
         message = (
-            "is required: pose of the camera in the world, 4 x 4 or { xyz = [...], quat = "
-            "[...] }, x to the right, y down, z forward; `sero-mj calibrate` computes it"
+            "is required: the pose of the camera in the world, 4 x 4 or { xyz = [...], quat = "
+            "[...] }, with x to the right, y down and z forward; `sero-mj calibrate` computes it"
         )
         problems.append(Problem("frame", message))
         return None
@@ -306,7 +306,7 @@ def _place(table: dict[str, Any], problems: list[Problem]) -> Array | None:
 
 
 def write_camera(path: Path, camera: PhotoCamera, note: str = "") -> None:
-    """Writes a camera file as TOML, or as YAML in the layout of ROS with the additional `frame`."""
+    """Writes a camera file as TOML, or as YAML in the format of ROS with the additional `frame`."""
     if path.suffix.lower() not in ENDINGS:
         raise UsageError(f"{path}: expected a name that ends in {', '.join(ENDINGS)}")
     text = "".join(f"# {line}\n" for line in note.splitlines())

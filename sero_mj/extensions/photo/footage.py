@@ -18,16 +18,16 @@ Pixels = NDArray[np.uint8]
 PHOTOS = (".png", ".jpg", ".jpeg", ".webp", ".bmp", ".tif", ".tiff")
 _MAX_PIXELS = 16384**2
 _TIME_TOLERANCE = 1e-4  # s
-_FPS = 30.0  # if a video does not state it
+_FPS = 30.0  # frame rate of videos that do not state it, 1/s
 
 
 def is_photo(path: Path) -> bool:
-    """Returns whether a file name has the extension of a photo, and not of a video."""
+    """Returns whether a file has the extension of a photo."""
     return path.suffix.lower() in PHOTOS
 
 
 def read_photo(path: Path) -> Pixels:
-    """Reads a photo, (height, width, 3), upright as in OpenCV.
+    """Reads a photo as an array, shape (height, width, 3), and rotates it upright as OpenCV does.
 
     Raises:
         RenderError: the photo cannot be read.
@@ -50,12 +50,12 @@ def read_photo(path: Path) -> Pixels:
 
 
 class Video:
-    """Reads a video file, as a context manager.
+    """Context manager that reads the frames of a video file.
 
     Attributes:
         size: width and height of the upright frames, pixels.
         fps: average number of frames per second.
-        duration: duration in seconds; 0 if the file does not state it.
+        duration: duration of the video, s; 0 if the file does not state it.
 
     Raises:
         RenderError: the video cannot be read.
@@ -88,10 +88,10 @@ class Video:
         self.size = (first.shape[1], first.shape[0])
 
     def frames(self, begin: float = 0.0) -> Iterator[tuple[float, Pixels]]:
-        """Yields the frames, as time since the first frame, s, and pixels.
+        """Yields the time since the first frame in seconds, and the pixels of each frame.
 
-        Damaged data ends the iteration, unless there was no frame before it. Frames before the time
-        `begin`, s, may be skipped.
+        Frames before the time `begin` in seconds may be skipped. Damaged data after the first frame
+        ends the iteration.
 
         Raises:
             RenderError: no frame can be read.
@@ -107,7 +107,7 @@ class Video:
             for frame in self._container.decode(stream):
                 found = float(Fraction(frame.pts or 0) * (stream.time_base or 0))
                 self._first = found if self._first is None else self._first
-                # Frames are counted if time stamps are invalid.
+                # If time stamps are invalid, the time is computed from the number of frames.
                 since = found - self._first
                 time = since if since > time else time + step
                 is_any = True
@@ -127,7 +127,7 @@ class Video:
 
 
 def read_frame(path: Path, time: float) -> Pixels:
-    """Reads the frame of a video at a time in seconds since the first frame.
+    """Reads the frame of a video that is displayed at a time in seconds since the first frame.
 
     Raises:
         RenderError: the video cannot be read, or has no frame at this time.
@@ -145,7 +145,7 @@ def read_frame(path: Path, time: float) -> Pixels:
 
 
 def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[float, Pixels]]:
-    """Yields frames and their times at a constant rate, because the frame rate of phones varies."""
+    """Yields times and frames of a video at a constant rate, which videos of phones do not have."""
     shown = 0
     last: tuple[float, Pixels] | None = None
     for frame in video.frames():
@@ -163,7 +163,7 @@ def at_rate(video: Video, fps: float, duration: float | None) -> Iterator[tuple[
 
 
 def upright(frame: av.VideoFrame) -> Pixels:
-    """Returns the pixels of a frame, rotated as its metadata requires (videos of phones)."""
+    """Returns the pixels of a video frame, rotated as its metadata requires."""
     pixels = frame.to_ndarray(format="rgb24")
     turns = round(getattr(frame, "rotation", 0) / 90) % 4
     return np.ascontiguousarray(np.rot90(pixels, turns))

@@ -1,4 +1,4 @@
-"""Renders images and videos with decor over photos and videos of the real robot."""
+"""Renders arrows, axes and billboards over photos and videos of the real robot."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ log = logging.getLogger(__name__)
 
 
 class PhotoRenderer(Painter):
-    """Renders the decor of a world over photos of one camera, as a context manager.
+    """Context manager that renders the visual features of a world over photos of one camera.
 
     Attributes:
         renderer: name of the renderer.
-        photo: default photo of `render`.
+        photo: photo that `render` uses by default.
 
     Raises:
         RenderError: OpenGL is not available, or the photos are too large.
@@ -74,7 +74,7 @@ class PhotoRenderer(Painter):
         self.decor = SceneDecor(world, with_text=False)
 
     def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
-        """Returns a photo (height, width, 3), uint8, with decor, by default of `self.photo`."""
+        """Draws visual features over a photo, and returns the image (height, width, 3), uint8."""
         photo = self.photo if photo is None else photo
         scene = self._renderer.scene
         self.decor.draw(data, self._look(data), scene)
@@ -102,12 +102,13 @@ def render_image_over(
 
     Args:
         over: photo, or video whose frame at the same time is used.
+        camera_file: file with the intrinsics and the pose of the camera.
         at: time since the start of recordings and simulations, s (default: the start, or the time
             of the first frame of a video).
         offset: time of recordings and simulations at the first frame of a video, s.
 
     Returns:
-        names of the sources without data; their robots have the declared pose.
+        names of the sources without data, whose robots are in their declared pose.
 
     Raises:
         SeroError: the scene, its sources, the camera or a file is invalid.
@@ -143,10 +144,11 @@ def render_video_over(
     Frames before the start and after the end of the recording are not changed.
 
     Args:
-        offset: time of the recording at the first frame of the video, s; see
-            `video_offset.find_offset`.
+        over: original video.
+        camera_file: file with the intrinsics and the pose of the camera.
+        offset: time of the recording at the first frame of the original video, s.
         duration: duration of the rendered video, s (default: the duration of the original video).
-        on_progress: called with the number of rendered frames and the total number of frames.
+        on_progress: function that is called with the numbers of rendered frames and all frames.
 
     Returns:
         names of the sources without data.
@@ -192,7 +194,7 @@ def render_video_over(
 
 
 def refuse_live(mirror: Mirror, video: Path) -> None:
-    """Raises UsageError if the mirror has live sources, which cannot be combined with a video."""
+    """Raises UsageError if a mirror has live sources, which cannot be combined with a video."""
     if mirror.is_live:
         raise UsageError(
             f"{video}: live sources cannot be combined with a video; use a recording, --replay "
@@ -201,7 +203,7 @@ def refuse_live(mirror: Mirror, video: Path) -> None:
 
 
 def recorded_span(mirror: Mirror) -> tuple[float, float]:
-    """Returns the start and end time of a mirror's recordings or simulations, s."""
+    """Returns the start and end time in seconds of the recordings or simulations of a mirror."""
     if not mirror.sources:
         return float("-inf"), float("inf")
     ends = [source.end for source in mirror.sources.values()]

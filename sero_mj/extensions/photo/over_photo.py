@@ -1,8 +1,9 @@
-"""`PhotoPainter`: decor over a photo of the real robot, occluded by its invisible model.
+"""`PhotoPainter`: draws arrows, axes and other visual features over photos of the real robot.
 
-The scene is rendered twice, with a black and with a white robot and background. The first image
-contains the colors of the decor. The difference between both images determines the transparency of
-the decor. This is exact for smooth edges and transparent decor in every OpenGL implementation.
+The invisible model of the robot hides what is behind the robot. The scene is rendered twice, with a
+black and with a white robot and background. The first image contains the colors of the visual
+features. The difference between both images determines their transparency. This is exact for smooth
+edges and transparent geoms in all OpenGL implementations.
 """
 
 from __future__ import annotations
@@ -23,17 +24,18 @@ Draw = Callable[[], Pixels]
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _UNKNOWN = int(mujoco.mjtObj.mjOBJ_UNKNOWN)
-_BACKGROUND_DEPTH = 0.9  # fraction of the depth of the far plane
-# Flags to switch off: effects of surroundings and lights, and wireframes.
+_BACKGROUND_DEPTH = 0.9  # depth of the background, fraction of the far plane distance
+# Flags that are switched off: effects of surroundings and lights, and wireframes.
 _FLAGS = ("mjRND_SHADOW", "mjRND_REFLECTION", "mjRND_SKYBOX", "mjRND_FOG", "mjRND_HAZE",
           "mjRND_WIREFRAME")  # fmt: skip
 
 
 class PhotoPainter:
-    """Draws decor over photos of one camera.
+    """A painter that draws visual features over the photos of one camera.
 
     Args:
         largest: maximum width and height of the rendered image, pixels.
+        scale: number of rendered pixels per pixel of the photo, along each side.
 
     Attributes:
         size: width and height of the rendered image, pixels.
@@ -56,30 +58,30 @@ class PhotoPainter:
         font: Font,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Sets a scene's camera to that of the photos, and hides the floor."""
+        """Sets the camera of a scene to that of the photos, and hides the floor."""
         self._plane.look(scene)
         for name in _FLAGS:
             scene.flags[int(getattr(mujoco.mjtRndFlag, name))] = 0
         for geom in scene.geoms[: scene.ngeom]:
             if geom.objtype == _GEOM and geom.objid >= 0 and self._is_floor[geom.objid]:
-                # A tiny sphere behind the camera is invisible, unlike a plane, which is infinite.
+                # Planes are infinite, but a tiny sphere behind the camera is invisible.
                 geom.type, geom.size = mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, 1e-6)
                 geom.pos = scene.camera[0].pos - scene.camera[0].forward
         near = float(scene.camera[0].frustum_near)
         return PhotoView.of_camera(self.camera, near, font, inset)
 
     def over(self, photo: Pixels, scene: mujoco.MjvScene, draw: Draw) -> Pixels:
-        """Returns a photo with the decor of a scene.
+        """Returns a photo with the visual features of a scene.
 
         Args:
-            photo: pixels, shape (height, width, 3), in the camera's image size.
+            photo: pixels of the photo in the image size of the camera, shape (height, width, 3).
             draw: function that renders the scene in `size`, top row first.
         """
         masked = self._masked(scene)
         for geom in masked:
             geom.matid = geom.texid = -1
             geom.specular = geom.reflectance = 0.0
-            # Like decor, whose color does not depend on light in Filament.
+            # The color of geoms with this category does not depend on light in Filament.
             geom.category, geom.objtype = _DECOR, _UNKNOWN
         _colour(masked, 0.0)
         black = self._plane.to_photo(draw().copy(), 0)

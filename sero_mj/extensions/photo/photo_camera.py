@@ -1,8 +1,8 @@
 """`PhotoCamera`: a real camera with a lens, and the rendering of its images in OpenGL.
 
-The camera frame follows OpenCV: x to the right of the image, y down, z forward. Pixels in this file
-also follow OpenCV: u to the right, v down, (0, 0) at the center of the upper left pixel.
-`PhotoView` is the same camera for decor, with pixels counted from the lower left corner.
+The camera frame follows OpenCV, with x to the right of the image, y down and z forward. Pixels in
+this file also follow OpenCV, with u to the right, v down and (0, 0) at the center of the upper left
+pixel. `PhotoView` is the same camera with pixels that are counted from the lower left corner.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ...viewer.decor.image_view import Depth, ImageView
 
 DistortionModel = Literal["plumb_bob", "rational_polynomial", "equidistant"]
 MODELS: tuple[str, ...] = get_args(DistortionModel)
-# Number of OpenCV's coefficients for each.
+# Possible numbers of OpenCV coefficients for each distortion model.
 COUNTS: dict[str, tuple[int, ...]] = {
     "plumb_bob": (4, 5),
     "rational_polynomial": (8, 12, 14),
@@ -31,17 +31,17 @@ COUNTS: dict[str, tuple[int, ...]] = {
 }
 Size = tuple[int, int]
 _MAX_TANGENT = float(np.tan(np.deg2rad(75.0)))  # tangent of the maximum ray angle from the axis
-_OVERSAMPLING = 1.25  # ratio of the undistorted image's resolution to the photo's
+_OVERSAMPLING = 1.25  # resolution of the undistorted image, relative to that of the photo
 _MAX_PIXELS = 12e6  # maximum number of pixels of the undistorted image
-_LOOKUP_COLUMNS = 320  # samples per row; pixels in between are interpolated
-_OUTSIDE = -10.0  # coordinate outside of the image
-_ROUND_TRIP_TOLERANCE = 0.1  # pixels
+_LOOKUP_COLUMNS = 320  # number of samples per row; pixels in between are interpolated
+_OUTSIDE = -10.0  # coordinate of pixels outside of the image
+_ROUND_TRIP_TOLERANCE = 0.1  # maximum error of pixel to ray to pixel, pixels
 _MAX_RADIUS = 20.0  # maximum distance of rays from the axis at z = 1
-_GRID = 33  # samples along each side
+_GRID = 33  # number of samples along each image side
 
 
 def opencv() -> Any:
-    """Returns the module `cv2`; raises UsageError if it is not installed."""
+    """Imports and returns the module `cv2`, or raises UsageError if it is not installed."""
     try:
         import cv2
     except ImportError as error:
@@ -53,13 +53,14 @@ def opencv() -> Any:
 
 @dataclass(frozen=True, eq=False)
 class PhotoCamera:
-    """A calibrated camera.
+    """The intrinsics and the pose of a calibrated real camera.
 
     Attributes:
-        matrix: OpenCV's camera matrix with fx, fy, cx and cy, shape (3, 3), pixels.
-        T_world_camera: pose of the camera, shape (4, 4), m; x to the right, y down, z forward.
-        distortion: distortion coefficients in OpenCV's order; empty for a lens without distortion.
-        model: distortion model of the coefficients; `equidistant` is OpenCV's fisheye model.
+        matrix: camera matrix of OpenCV with fx, fy, cx and cy, shape (3, 3), pixels.
+        T_world_camera: pose of the camera, with x to the right, y down and z forward, shape (4, 4),
+            m.
+        distortion: distortion coefficients in the order of OpenCV; empty for no distortion.
+        model: distortion model; `equidistant` is the fisheye model of OpenCV.
     """
 
     width: int
@@ -74,19 +75,19 @@ class PhotoCamera:
         return bool(self.distortion.any()) or self.model == "equidistant"
 
     def resized(self, width: int, height: int) -> PhotoCamera:
-        """Returns the camera for the same images, resized to another size."""
+        """Returns the camera for images that are resized to another size in pixels."""
         by = np.array([width / self.width, height / self.height])
         matrix = self.matrix.copy()
         matrix[[0, 1], [0, 1]] *= by
-        # The edges of the image remain its edges, and coordinates refer to pixel centers.
+        # The edges of the image do not move, and pixel coordinates refer to pixel centers.
         matrix[:2, 2] = (matrix[:2, 2] + 0.5) * by - 0.5
         return replace(self, width=width, height=height, matrix=matrix)
 
     def project(self, points: Array) -> tuple[Array, Array]:
-        """Projects world points.
+        """Projects world points to pixels.
 
         Returns:
-            pixels, shape (..., 2), and depth along z, shape (...), m. Pixels of points behind the
+            pixels, shape (..., 2), and depths along z, shape (...), m. Pixels of points behind the
             camera or far outside of the image are approximate.
         """
         T = self.T_world_camera
@@ -96,10 +97,10 @@ class PhotoCamera:
         return self.distort(in_camera[..., :2] / safe[..., None]), depth
 
     def distort(self, rays: Array) -> Array:
-        """Returns the pixels (..., 2) of rays x/z, y/z (..., 2) in the camera's frame."""
+        """Returns the pixels of rays in the camera frame, given by x/z and y/z, shape (..., 2)."""
         if not self.is_distorted:
             return self._to_pixels(rays)
-        # Outside of the image, the polynomials may return to pixels inside.
+        # Outside of the image, the distortion polynomials may lead to pixels inside of it.
         radius = np.linalg.norm(rays, axis=-1, keepdims=True)
         beyond = np.maximum(radius / self._limits[1], 1.0)
         flat = np.ascontiguousarray((rays / beyond).reshape(-1, 2))
@@ -109,10 +110,10 @@ class PhotoCamera:
         return np.asarray(self.matrix[:2, 2] + (pixels - self.matrix[:2, 2]) * beyond)
 
     def undistort(self, pixels: Array) -> Array:
-        """Returns the rays x/z, y/z (..., 2) of pixels (..., 2), with NaN for pixels without a ray.
+        """Returns the rays of pixels in the camera frame, given by x/z and y/z, shape (..., 2).
 
         Pixels at the edges may have no ray, because distortion polynomials are not monotone outside
-        of the calibrated area.
+        of the calibrated area. The values are NaN for these pixels.
         """
         if not self.is_distorted:
             K = self.matrix
@@ -124,7 +125,8 @@ class PhotoCamera:
         if not len(flat):
             return np.zeros(pixels.shape)
         rays = self._undistort(flat)
-        rays[~(np.abs(rays) < _MAX_RADIUS).all(axis=1)] = np.nan  # also OpenCV's value for no ray
+        # OpenCV returns very large values for pixels without a ray.
+        rays[~(np.abs(rays) < _MAX_RADIUS).all(axis=1)] = np.nan
         there = self._distort(np.nan_to_num(rays))
         is_found = np.abs(there - flat).max(axis=1) < _ROUND_TRIP_TOLERANCE
         is_found &= np.linalg.norm(rays, axis=1) < fold
@@ -133,7 +135,7 @@ class PhotoCamera:
 
     @cached_property
     def _limits(self) -> tuple[float, float]:
-        # Cached, because calibration computes many poses of the same lens.
+        # The limits are cached, because calibration computes many poses of the same lens.
         arrays = (np.ascontiguousarray(each, float) for each in (self.matrix, self.distortion))
         key = *(each.tobytes() for each in arrays), self.model
         return _limits_of(self.width, self.height, *key)
@@ -178,12 +180,12 @@ class PhotoCamera:
 
     @property
     def drawable(self) -> float:
-        """Fraction of the image that has rays."""
+        """Fraction of the image in which pixels have rays, so that geoms can be drawn."""
         return float(np.isfinite(self._some_rays).all(axis=-1).mean())
 
     @cached_property
     def extent(self) -> tuple[Array, Array]:
-        """Minimum and maximum (x/z, y/z) of the rays in a planar image, shape (2,) each."""
+        """Minimum and maximum of x/z and y/z over all rays of the image, shape (2,) each."""
         rays = self._some_rays.reshape(-1, 2)
         rays = rays[np.isfinite(rays).all(axis=1)]
         norm = np.linalg.norm(rays, axis=1, keepdims=True)
@@ -214,7 +216,7 @@ def _limits_of(
 
 @dataclass(frozen=True, eq=False)
 class PhotoView(ImageView):
-    """A `PhotoCamera` for decor: pixels are those of the photo, with its distortion."""
+    """The view of a `PhotoCamera`, whose pixels are those of the photo, with its distortion."""
 
     camera: PhotoCamera = None  # type: ignore[assignment]  # fields before it have defaults
 
@@ -226,7 +228,7 @@ class PhotoView(ImageView):
         font: Font = DEFAULT_FONT,
         inset: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0),
     ) -> PhotoView:
-        """Returns the view of a photo camera."""
+        """Returns the view of a camera whose near plane is at a distance in m."""
         T = camera.T_world_camera
         return cls(
             position=T[:3, 3],
@@ -261,10 +263,10 @@ class PhotoView(ImageView):
 
 
 class PlaneImage:
-    """Renders the view of a `PhotoCamera` in OpenGL, and maps it to the photo's pixels.
+    """The rendered image of a `PhotoCamera`, and its mapping to the pixels of photos.
 
-    Without distortion, the view is rendered directly. Otherwise, an undistorted image of higher
-    resolution that covers the photo is rendered and then sampled.
+    Without distortion, the photo view is rendered directly. Otherwise, an undistorted image of
+    higher resolution that covers the photo is rendered and then resampled.
 
     Args:
         largest: maximum width and height of the rendered image, pixels.
@@ -292,13 +294,13 @@ class PlaneImage:
 
     def _look_up(self, low: Any, high: Any, largest: Size) -> None:
         camera, cv2 = self.camera, opencv()
-        # Rays of some pixels; rays in between are interpolated.
+        # Rays are computed for some pixels and interpolated in between.
         apart = max(camera.width // _LOOKUP_COLUMNS, 1)
         rows, columns = camera.height // apart + 2, camera.width // apart + 2
         v, u = np.mgrid[:rows, :columns].astype(float) * apart
         rays = camera.undistort(np.stack([u, v], axis=-1))
         extent = np.array(high) - low
-        # The resolution is that of the photo's pixels with the smallest angle.
+        # The resolution is that of the pixels with the smallest angle in the photo.
         steps = np.linalg.norm(np.diff(rays, axis=1), axis=2) / apart
         steps = steps[np.isfinite(steps) & (steps > 0)]
         finest = float(np.percentile(steps, 1.0)) if len(steps) else 1e-3
@@ -315,7 +317,7 @@ class PlaneImage:
             for k in (0, 1)
         ]
         is_drawn = np.isfinite(each[0]) & np.isfinite(each[1])
-        # A resolution of 1/32 pixel takes a third of the time.
+        # With a resolution of 1/32 pixel, resampling takes a third of the time.
         self._maps = cv2.convertMaps(
             *(np.where(is_drawn, of, _OUTSIDE).astype(np.float32) for of in each), cv2.CV_16SC2
         )
@@ -332,7 +334,7 @@ class PlaneImage:
             camera.orthographic = 0
 
     def to_photo(self, drawn: NDArray[np.uint8], outside: int) -> NDArray[np.uint8]:
-        """Returns a rendered image, resampled to the photo's pixels.
+        """Resamples a rendered image to the pixels of the photo.
 
         Pixels that the rendered image does not contain have the value `outside`.
         """

@@ -1,4 +1,4 @@
-"""`PhotoViewport`: the images of a live camera in a window, with decor over them."""
+"""`PhotoViewport`: shows images of a camera with arrows, axes and billboards in a window."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ...viewer.window.viewport import Pane, Viewport
 from .camera_feed import CameraFeed, VideoFeed
 from .over_photo import PhotoPainter
 
-_BESIDE = (0.07, 0.08, 0.09, 1.0)  # color beside the image
+_BESIDE = (0.07, 0.08, 0.09, 1.0)  # color of the window beside the image
 
 
 class PhotoViewport(Viewport):
-    """Shows the images of a camera, scaled to fit into a rectangle of a window."""
+    """A viewport that shows the images of a camera or video, scaled to fit into it."""
 
     def __init__(
         self,
@@ -44,7 +44,7 @@ class PhotoViewport(Viewport):
         return [self._feed.piece]
 
     def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
-        """See `Viewport`. The view is that of the feed's camera, so `camera` is ignored."""
+        """Prepares a frame with the view of the feed. The argument `camera` is ignored."""
         rect, typesetter, covered = pane
         of = self._feed.camera
         scale = min(rect.width / of.width, rect.height / of.height)
@@ -58,7 +58,7 @@ class PhotoViewport(Viewport):
         self.width = size[0]
         painter = self._painter
         if painter is None or (painter.camera.width, painter.camera.height) != size:
-            # The undistorted image has to fit into the window's buffer.
+            # The undistorted image must fit into the buffer of the window.
             largest = rect.left + rect.width, rect.bottom + rect.height
             self._painter = painter = PhotoPainter(self.world, of.resized(*size), largest)
             self._photo = None

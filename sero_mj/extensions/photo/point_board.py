@@ -1,7 +1,7 @@
-"""`PointBoard`: a photo in which the user clicks points of the robot, with the calibration result.
+"""`PointBoard`: a photo in which the user clicks points of the robot, and a list of these points.
 
-The board does not depend on a window. It handles clicks and keys, and renders its image. Pixels in
-this file are counted from the upper left corner of the board, x to the right, y down.
+The board does not depend on a window. It handles clicks and keys, and renders itself to an image.
+Pixels in this file are counted from the upper left corner of the board, x to the right, y down.
 """
 
 from __future__ import annotations
@@ -29,34 +29,36 @@ _GOOD: Rgb = (0.55, 0.85, 0.62)
 _BAD: Rgb = (1.0, 0.52, 0.40)
 _ORANGE, _GREEN, _RED = (255, 160, 40), (70, 230, 120), (255, 70, 60)
 _WIDTH = 17.0  # width of the list, line heights
-_LINE = 1.25  # distance of lines, line heights
-_STEP = 1.25  # zoom factor for a step of the wheel
+_LINE = 1.25  # height of the rows of the list, line heights
+_STEP = 1.25  # zoom factor for a step of the mouse wheel
 _MAX_ZOOM = 40.0
 _MIN_ROWS = 5  # minimum number of rows of the list
-_GOOD_CLICK = 5.0  # maximum error, pixels
-_MARK = 9  # half of a cross, pixels
+_GOOD_CLICK = 5.0  # maximum error of a good click, pixels
+_MARK = 9  # half width of the crosses at clicked pixels, pixels
 _KEYS = ("click: set pixel of the point", "wheel: zoom, drag: move", "up, down: select point",
          "backspace: delete pixel", "enter: finish, escape: cancel")  # fmt: skip
 
 
 @dataclass
-class _View:  # the visible part of the photo: its central pixel, and the size of a pixel
+class _View:  # the visible part of the photo, given by its central pixel and its pixel size
     centre: Array
     zoom: float
 
 
 class PointBoard:
-    """A list of points beside a photo.
+    """A photo beside a list of points, whose pixels the user clicks in the photo.
 
     Args:
         points: world positions of the points, shape (k, 3), m.
+        lens: camera with the known intrinsics.
+        find_focal: whether the focal length is computed, too.
         clicked: mapping from indices of points to known pixels, shape (2,).
 
     Attributes:
-        chosen: index of the point that the next click sets.
-        clicked: mapping from indices of points to pixels.
-        found: result of the calibration, or None if there are too few points.
-        message: error message, or the quality of the fit.
+        chosen: index of the point whose pixel the next click sets.
+        clicked: mapping from indices of points to their pixels.
+        found: result of the calibration; None if there are too few points.
+        message: error message, or the error of the fit.
     """
 
     def __init__(
@@ -76,7 +78,7 @@ class PointBoard:
         self.found: Calibration | None = None
         self.message = ""
         self.chosen = 0
-        self._view: _View | None = None  # the whole photo
+        self._view: _View | None = None  # None for the whole photo
         self._typesetter = Typesetter(18)
         self._size = (1, 1)
         self._choose_next()
@@ -92,7 +94,7 @@ class PointBoard:
             self._typesetter = Typesetter(line)
 
     def click(self, x: float, y: float) -> None:
-        """Selects a point in the list, or sets the pixel of the selected point."""
+        """Handles a click: selects a point in the list, or sets the pixel of the selected point."""
         if x < self.panel_width:
             row = self._row_at(y)
             if row is not None:
@@ -193,7 +195,7 @@ class PointBoard:
         return shown[row] if 0 <= row < len(shown) else None
 
     def sketch(self) -> tuple[int, int, int, int]:
-        """Left, top, width and height of the area for a sketch of the robot, pixels."""
+        """Returns left, top, width and height in pixels of the area for a sketch of the robot."""
         top = self._first() + (len(self._shown()) + 0.5) * self._row_height()
         bottom = self._size[1] - (len(_KEYS) + 3.6) * self._row_height()
         return 0, round(top), self.panel_width, max(round(bottom - top), 1)

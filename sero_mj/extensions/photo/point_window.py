@@ -1,4 +1,4 @@
-"""`PointWindow`: a window to click points of the robot in a photo."""
+"""`PointWindow`: a window in which the user clicks points of the robot in a photo."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ...viewer.session.input import Clicked, Event, Mouse, Moved
 from ...viewer.window.glfw_window import GlWindow
 from .point_board import PointBoard
 
-_MORE = 100  # additional capacity for geoms that do not belong to the model
-_DOT = 0.03  # radius of the selected point in the sketch, fraction of the model's extent
+_MORE = 100  # additional capacity for geoms that are not part of the model
+_DOT = 0.03  # radius of the selected point in the sketch, fraction of the model extent
 _DOT_RGBA = np.array([1.0, 0.55, 0.1, 1.0], np.float32)
 _PAUSE = 0.03  # time between queries of events, s
 
 
 class PointWindow:
-    """Shows a board until the user finishes, as a context manager.
+    """Context manager that shows a `PointBoard` in a window.
 
     Args:
         data: state of the world in the photo.
-        points: world positions of the board's points, shape (k, 3), m.
+        points: world positions of the points of the board, shape (k, 3), m.
         size: width and height of the window in screen coordinates.
 
     Attributes:
-        is_done: whether the user accepted the result.
+        is_done: whether the user has accepted the result.
 
     Raises:
         RenderError: there is no display.
@@ -53,7 +53,7 @@ class PointWindow:
         self._drawn: tuple[int, int] | None = None  # size of the current image; None if outdated
 
     def frame(self) -> bool:
-        """Handles events, redraws if needed, and returns whether the window is still open."""
+        """Handles events, draws the board if needed, and returns whether the window is open."""
         for event in self.gl.events():
             self._take(event)
         width, height = self.gl.size

@@ -1,10 +1,10 @@
-"""Estimates the time of a recording at which a video of the robot starts, from their motion.
+"""Estimates the time of a recording at which a video of the robot starts.
 
-Pixels of the video change if the robot's outline passes over them between two frames. The swept
-area is computed from the recording with the known camera, at the video's rate, on a coarse grid of
-cells. The changes of the video are computed on the same grid. Swept area and changes are correlated
-over time for each cell, for all offsets at once. This distinguishes similar motions at different
-places.
+Pixels of the video change if the outline of the robot passes over them between two frames. The area
+that the outline sweeps is computed from the recording with the known camera, at the frame rate of
+the video, on a coarse grid of cells. The changes of the video are computed on the same grid. Swept
+area and changes are correlated over time for each cell and for all offsets, so that similar motions
+at different places are distinguished.
 """
 
 from __future__ import annotations
@@ -28,26 +28,26 @@ from .photo_camera import PhotoCamera, opencv
 
 _WIDTH = 192  # width of images of outlines, pixels
 _CELL = 6  # side of a cell, pixels
-_POINTS = 80  # number of points of a mesh's outline
+_POINTS = 80  # number of points that approximate a mesh
 _NOISE, _FULL_CHANGE = 4.0, 40.0  # gray levels of noise, and of a full change
-_MIN_OVERLAP = 1.5  # s
+_MIN_OVERLAP = 1.5  # minimum overlap of video and recording, s
 _PEAK_DISTANCE = 0.4  # minimum distance of separate peaks, s
 _MIN_CORRELATION = 0.15
 _KEY = "--offset auto"  # key of errors
-_PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other
+_PEAK_RATIO = 1.25  # minimum ratio of the best peak to any other peak
 _MAX_DURATION = 3600.0  # maximum duration of a recording, s
-_HIDDEN_GROUP = 3  # the first hidden group of geoms
-_CHUNK = 64  # cells per Fourier transform
+_HIDDEN_GROUP = 3  # first hidden group of geoms
+_CHUNK = 64  # number of cells per Fourier transform
 
 Cells = NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class FoundOffset:
-    """The offset of a video in a recording.
+    """The estimated offset of a video in a recording.
 
     Attributes:
-        offset: time of the recording at the video's first frame, s.
+        offset: time of the recording at the first frame of the video, s.
         correlation: correlation of the motion in video and recording at this offset, up to 1.
         other: highest correlation at any other offset.
     """
@@ -64,7 +64,7 @@ class FoundOffset:
 
 
 def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
-    """Finds the start of a video of the robot.
+    """Estimates the time of the recording or scenario of a scene at which a video starts.
 
     Raises:
         UsageError: the video or the recording has no motion, they do not match, or they match at
@@ -81,7 +81,7 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
         if end > _MAX_DURATION:
             raise UsageError(
                 f"--offset auto is limited to {_MAX_DURATION / 60:.0f} minutes, but the recording "
-                f"has {end / 60:.0f}; use --offset S"
+                f"has {end / 60:.0f} minutes; use --offset S"
             )
         small = _small(camera)
         swept = _swept(mirror, small, fps, end)
@@ -133,7 +133,7 @@ def _cells(change: NDArray[np.generic]) -> NDArray[np.float32]:
     return np.asarray(blocks.mean(axis=(1, 3)).ravel() / 255.0, np.float32)
 
 
-class _Outlines:  # convex hulls of the robots' geoms, filled
+class _Outlines:  # images of robots, whose geoms are drawn as filled convex hulls
     def __init__(self, world: World) -> None:
         model = world.model
         bodies = np.concatenate([part.bodies for part in world.robots.values()])
@@ -166,7 +166,7 @@ def _points_of(model: mujoco.MjModel, geom: int) -> Array:
         mesh = model.geom_dataid[geom]
         first, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
         vertices = model.mesh_vert[first : first + count].astype(float)
-        # The farthest vertices in directions distributed over a sphere.
+        # The farthest vertices in directions that are distributed over a sphere are used.
         k = np.arange(_POINTS) + 0.5
         z, turn = 1.0 - 2.0 * k / _POINTS, np.pi * (1.0 + 5.0**0.5) * k
         around = np.stack([np.cos(turn), np.sin(turn), np.zeros(_POINTS)], axis=1)
@@ -181,8 +181,10 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
     """Returns the offset that maximizes the correlation of changed and swept cells.
 
     Args:
-        swept: swept cells of the recording between successive frames, shape (T, cells).
-        changed: changed cells of the video between successive frames, shape (T', cells).
+        swept: swept fraction of each cell between successive frames of the recording, shape (T,
+            cells).
+        changed: change of each cell between successive frames of the video, shape (T', cells).
+        fps: frames per second of both.
 
     Raises:
         UsageError: no offset clearly has the highest correlation.
@@ -223,13 +225,13 @@ def match(swept: Cells, changed: Cells, fps: float) -> FoundOffset:
 
 
 def correlate(swept: Cells, changed: Cells, min_overlap: int) -> tuple[NDArray[np.intp], Array]:
-    """Returns the correlation at every offset with sufficient overlap.
+    """Returns the correlation of swept and changed cells at each offset with sufficient overlap.
 
     Args:
-        swept: swept cells of the recording, shape (T, cells).
-        changed: changed cells of the video, shape (T', cells).
-        min_overlap: minimum overlap, frames. The overlap is also at least half of the shorter of
-            `swept` and `changed`.
+        swept: swept fraction of each cell for each frame of the recording, shape (T, cells).
+        changed: change of each cell for each frame of the video, shape (T', cells).
+        min_overlap: minimum overlap in frames. The overlap must also be at least half of the
+            shorter of `swept` and `changed`.
 
     Returns:
         offsets and correlations. An offset is the row of `swept` that corresponds to the first row
@@ -251,7 +253,7 @@ def correlate(swept: Cells, changed: Cells, min_overlap: int) -> tuple[NDArray[n
     first, last = np.maximum(lags, 0), np.minimum(lags + short, long)
     sums_a, sums_b = (np.concatenate([[0.0], np.cumsum(e)]) for e in (energy_a, energy_b))
     both = (sums_a[last] - sums_a[first]) * (sums_b[last - lags] - sums_b[first - lags])
-    # Overlaps with little motion are not significant.
+    # Correlations of overlaps with little motion are not significant.
     enough = both > 0.01 * energy_a.sum() * energy_b.sum() * min(short / long, 1.0)
     enough &= last - first >= max(min_overlap, min(long, short) // 2)
     scores = np.where(enough, products[lags] / np.sqrt(np.where(enough, both, 1.0)), -1.0)

@@ -254,7 +254,7 @@ class Participant:
         return Reader(reader)
 
     def writer(self, topic: str, kind: str) -> Writer:
-        """Returns a writer of a topic that stores only the newest message.
+        """Returns a writer of a topic. The writer stores only the newest message.
 
         Args:
             topic: full name of the topic, with a leading `/`.

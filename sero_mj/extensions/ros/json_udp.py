@@ -41,7 +41,7 @@ class JsonUdp(UdpReceiver, RosSource):
 
     _fixed_by: ClassVar[str] = "JSON"
     _structure_is: ClassVar[str] = "derived from the messages"
-    _most_bytes: ClassVar[int] = 1 << 16  # of a UDP packet
+    _min_row_bytes: ClassVar[int] = 1 << 16  # the maximum size of a UDP packet
     _joined: JoinedPackets | None = PrivateAttr(None)
 
     @property

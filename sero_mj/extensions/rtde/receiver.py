@@ -1,9 +1,9 @@
 """`RtdeReceiver`: the state of a Universal Robots arm from its Real-Time Data Exchange (RTDE).
 
 A client connects to TCP port 30004 and requests variables by name. The controller then sends a data
-package in each cycle (2 ms, CB3: 8 ms). All messages are big-endian: a size of 2 bytes, a type of 1
-byte, a payload. The receiver sets up no inputs, so it cannot command anything. The protocol and the
-names of variables are those of UR's RTDE guide, protocol version 2.
+package in each cycle (2 ms, or 8 ms for a CB3). All messages are big-endian and consist of a size
+(2 bytes), a type (1 byte) and a payload. The receiver sets up no inputs, so it cannot command
+anything. The protocol and the names of variables are those of UR's RTDE guide, protocol version 2.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from ...data.receive.connecting import ConnectingSource, Connection, ProtocolErr
 from ...data.receive.structure import Structure, TorqueSign
 
 PORT = 30004
-VERSION = 2  # of the protocol
+VERSION = 2  # version of the protocol
 # Message types. Clients that command also use the last two.
 _TYPES = b"VvOSUM"
 ASK_VERSION, ASK_CONTROLLER, SET_UP, START, DATA, TEXT = _TYPES
 SET_UP_INPUTS, PAUSE = b"IP"
-HEAD = struct.Struct(">HB")  # size and type
-NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # instead of the type of a variable
-MAX_BYTES = 4096  # of a message; messages of a controller have up to 600 bytes
+HEAD = struct.Struct(">HB")  # size and type of a message
+NOT_FOUND, IN_USE = "NOT_FOUND", "IN_USE"  # answers instead of the type of a variable
+MAX_BYTES = 4096  # maximum size of a message; controllers send up to 600 bytes
 
-# Variable, its type, and its events.
+# Name, type and events of each variable.
 VARIABLES = (
     ("timestamp", "DOUBLE", "timestamp:1d"),
     ("actual_q", "VECTOR6D", "joint_angles:6d"),
@@ -47,8 +47,8 @@ VARIABLES = (
     ("robot_mode", "INT32", "robot_mode:1i"),
     ("safety_mode", "INT32", "safety_mode:1i"),
 )
-# Added to a data package: whether its torques are commanded ones, and a package number that is
-# counted by time stamps, so that it skips packages that the controller did not send.
+# Values that are added to a data package: whether its torques are commanded torques, and a package
+# number. Time stamps advance the number, so it skips packages that the controller did not send.
 _ADDED = struct.Struct(">BI")
 STRUCTURE = " ".join(
     (">", *(events for *_, events in VARIABLES), "torques_are_commanded:1B package_number:1I")
@@ -195,7 +195,7 @@ class RtdeReceiver(ConnectingSource):
 
 
 class RtdeLayout(Structure):
-    """Packets of `RtdeReceiver`: data packages followed by `_ADDED`."""
+    """The structure of the packets of `RtdeReceiver`, data packages followed by `_ADDED`."""
 
     message = "data package"
 
@@ -208,7 +208,7 @@ class RtdeLayout(Structure):
 
 
 def split_messages(received: bytes, kinds: Collection[int]) -> Iterator[tuple[int, bytes, int]]:
-    """Yields type, payload and end of each complete message; raises ProtocolError."""
+    """Yields type, payload and end position of each complete message. Raises ProtocolError."""
     at = 0
     while len(received) - at >= HEAD.size:
         size, kind = HEAD.unpack_from(received, at)

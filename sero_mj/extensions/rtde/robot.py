@@ -57,19 +57,19 @@ _MOVE_J, _SPEED_J, _SERVO_J, _TORQUE = 1, 9, 11, 66
 _ZERO_SENSOR, _TEACH, _END_TEACH = 8, 18, 19
 _STOPS = 15, 16, 34  # speedStop, servoStop, stopJ
 _OFFSETS = 0, 24  # first registers of the lower and the upper range
-_SLICE = 0.02  # s between checks for interrupts and the end of the program
-_DECELERATION = 4.0  # rad/s^2; deceleration after the client has become silent
+_SLICE = 0.02  # time between checks for interrupts and for the end of the program, s
+_DECELERATION = 4.0  # deceleration after the client has become silent, rad/s^2
 _NUMBER = re.compile(r"[-+]?\d[\d.e:+-]*")
 
 
 class RtdeClient(Reachable):
-    """An RTDE client. The simulated robot listens like a Universal Robots controller.
+    """An RTDE client, for which the simulated robot listens like a Universal Robots controller.
 
     Attributes:
         host: address that the robot listens on; 0.0.0.0 for all addresses of this machine.
         port: port of RTDE.
-        interface: command interface: `ur_rtde` for the registers that the library ur_rtde and its
-            script exchange; `position` or `torque` for six input registers.
+        interface: command interface: `ur_rtde` (the registers that the library ur_rtde and its
+            script exchange), or `position` or `torque` (six input registers).
         first_register: first register k of `position` and `torque`. input_double_register_k to k+5
             contain joint angles in rad, or torques in addition to gravity compensation in Nm.
         dashboard_port: port of the dashboard server, which `ur_rtde` connects to; 0 for none.
@@ -77,9 +77,10 @@ class RtdeClient(Reachable):
         cycle: minimum time between packages in s: 0.002 for an e-Series, 0.008 for a CB3.
         stiffness: stiffness of the robot's position control, Nm/rad per joint.
         damping: damping ratio of the robot's position control per joint.
-        torque_constants: torque per ampere in Nm/A per joint, to convert torques to currents;
-            without them, currents are 0.
-        patience: time in s without a command after which a client is silent and the robot holds.
+        torque_constants: torque per ampere in Nm/A per joint, to convert torques to currents.
+            Without these constants, currents are 0.
+        patience: time in s without a command after which a client is considered silent and the
+            robot holds its position.
     """
 
     logged: ClassVar[tuple[str, ...]] = ("rtde_state", "command_age", "step_lateness")

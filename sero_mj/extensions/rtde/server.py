@@ -1,8 +1,8 @@
 """`RtdeServer`: the sockets of a simulated Universal Robots controller.
 
-The thread of the simulation serves all clients. RTDE listens on TCP 30004. Optionally, there are a
-dashboard server (29999), which answers the requests that clients send when they connect, and a
-server for URScript (30003), which does not run scripts.
+The thread of the simulation serves all clients. RTDE listens on TCP port 30004. Optionally, a
+dashboard server (29999) answers the requests that clients send when they connect, and a server for
+URScript (30003) accepts scripts without running them.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ log = logging.getLogger(__name__)
 CONTROLLER_VERSION = 5, 23, 0, 0  # the first one with actual_current_as_torque
 _KINDS = {ASK_VERSION, ASK_CONTROLLER, SET_UP, SET_UP_INPUTS, START, PAUSE, DATA, TEXT}
 _MAX_PEERS, _MAX_RECIPES = 16, 255
-_MAX_UNSENT = 1 << 18  # bytes; maximum amount that a client may leave unread
-# Time in s from the start to the first package. If the package arrives together with the answer to
-# the start, UR's own client does not notice it before the next one, which lockstep never sends.
+_MAX_UNSENT = 1 << 18  # maximum number of bytes that a client may leave unread
+# Time in s from the start to the first package. If a package arrives together with the answer to
+# the start, UR's own client does not detect it before the next one, which lockstep never sends.
 _START_DELAY = 0.02
-_MAX_UNREAD_TIME = 10.0  # s without reading, after which a client is disconnected
+_MAX_UNREAD_TIME = 10.0  # time in s without reading after which a client is disconnected
 _WARNING = 2  # level of a text message
 _SOURCE = b"sero-mj"
 
@@ -85,17 +85,17 @@ class Peer(ABC):
 
     @abstractmethod
     def handle(self, received: bytes) -> bytes:
-        """Handles received bytes and returns the incomplete rest; raises ProtocolError."""
+        """Handles received bytes and returns the incomplete rest. Raises ProtocolError."""
 
     def read(self) -> None:
-        """Receives; raises OSError or ProtocolError."""
+        """Receives and handles bytes. Raises OSError or ProtocolError."""
         more = self.socket.recv(65536)
         if not more:
             raise ConnectionError("it closed the connection")
         self._received = self.handle(self._received + more)
 
     def send(self, message: bytes) -> None:
-        """Sends a message now, or as soon as the client reads; raises OSError."""
+        """Sends a message now, or as soon as the client reads. Raises OSError."""
         self._unsent += message
         if len(self._unsent) > _MAX_UNSENT:
             raise ConnectionError("the client does not read")
@@ -112,7 +112,7 @@ class RtdePeer(Peer):
     """An RTDE client.
 
     Attributes:
-        inputs: input recipes; the first one has number 1.
+        inputs: input recipes, which are numbered from 1.
     """
 
     def __init__(self, server: RtdeServer, connection: socket.socket, name: str) -> None:
@@ -144,11 +144,11 @@ class RtdePeer(Peer):
         return self.is_started and clock.monotonic() >= self._begins
 
     def is_due(self, cycle: int) -> bool:
-        """Whether the client receives a package in this cycle."""
+        """Returns whether the client receives a package in this cycle."""
         return self.is_ready and cycle % self._every == 0
 
     def send_package(self) -> None:
-        """Sends the values of the recipe, unless the client has not read the previous ones."""
+        """Sends the values of the output recipe if the client has read the previous values."""
         assert self._outputs is not None
         now = clock.monotonic()
         if self.flush():
@@ -282,7 +282,7 @@ class ScriptPeer(Peer):
 
 
 class RtdeServer:
-    """Listens and serves all clients; `cycle` is the minimum time between packages, s."""
+    """A server that serves all clients. `cycle` is the minimum time between packages, s."""
 
     def __init__(self, robot: Robot, cycle: float, name: str) -> None:
         self.robot, self.cycle = robot, cycle
@@ -298,10 +298,10 @@ class RtdeServer:
         return [peer for peer in self._peers.values() if isinstance(peer, RtdePeer)]
 
     def open(self, host: str, port: int, dashboard: int = 0, script: int = 0) -> None:
-        """Starts to listen; raises OSError.
+        """Starts to listen. Raises OSError if a port is not available.
 
         Args:
-            port: port of RTDE; 0 for a free one.
+            port: port of RTDE; 0 for a free port.
             dashboard: port of the dashboard server; 0 for no dashboard server.
             script: port of the server for URScript; 0 for no such server.
         """
@@ -337,7 +337,7 @@ class RtdeServer:
         self._selector = None
 
     def serve(self, seconds: float = 0.0) -> bool:
-        """Handles what arrives within some seconds and returns whether anything arrived."""
+        """Waits some seconds for data, handles the data, and returns whether any arrived."""
         if self._selector is None:
             return False
         ready = self._selector.select(max(seconds, 0.0))
@@ -375,7 +375,7 @@ class RtdeServer:
             return
         name = f"{address[0]}:{address[1]}"
         if len(self._peers) >= _MAX_PEERS:
-            self.warn_once(f"more than {_MAX_PEERS} connections; additional ones are closed")
+            self.warn_once(f"more than {_MAX_PEERS} connections; additional connections are closed")
             connection.close()
             return
         connection.setblocking(False)
@@ -412,7 +412,7 @@ class RtdeServer:
             log.warning("%s: %s", self._name, why)
 
     def wait_until(self, due: float) -> None:
-        """Serves until `time.monotonic()` reaches a time in s."""
+        """Serves all clients until `time.monotonic()` reaches a time in seconds."""
         while (left := due - clock.monotonic()) > 0.0:
             self.serve(left)
         while self.serve() and clock.monotonic() < due + self.cycle:

@@ -20,21 +20,21 @@ _POWER_ON, _PROGRAM_RUNNING = 1, 2  # bits of robot_status_bits
 _NORMAL = 1  # safety mode, and bit of safety_status_bits
 _RUNNING = 7  # robot mode
 _STOPPED, _PLAYING = 1, 2  # runtime states
-_BANDWIDTH = 25.0  # 1/s; bandwidth of the observer of external torques, chosen by us
-# Relative to the largest singular value. Forces in directions below it are not reported.
+_BANDWIDTH = 25.0  # bandwidth of the observer of external torques, 1/s
+# Minimum singular value of the Jacobian, relative to the largest one, for forces to be reported.
 _SINGULAR = 1e-2
 
 
 class RtdeState:
-    """Computes output values on demand, and caches them for one cycle.
+    """Computes RTDE output values on demand, and caches them for one cycle.
 
-    Poses are those of the flange in the robot base, with rotation vectors in rad; velocities and
-    forces are in base directions. `actual_current_as_torque` is measured by the sensors;
-    `actual_TCP_force` is the external force estimated by a momentum observer.
+    Poses are those of the flange in the robot base, with rotation vectors in rad. Velocities and
+    forces are in base directions. Sensors measure `actual_current_as_torque`. `actual_TCP_force` is
+    the external force estimated by a momentum observer.
 
     Args:
         model: model of the robot, which the controller must update first.
-        constants: torque constants, shape (n,), Nm/A; None for currents of 0.
+        constants: torque constants, shape (n,), Nm/A. If None, currents are 0.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class RtdeState:
         self._commanded[:] = commanded
 
     def begin_cycle(self, cycle: float) -> None:
-        """Clears the cache; `cycle` is the time since the last call, s."""
+        """Clears the cache at the start of a cycle. `cycle` is the time since the last call, s."""
         self._cache.clear()
         np.subtract(self._motion.angles, self._last, self._target_speeds)
         self._target_speeds /= cycle

@@ -31,7 +31,7 @@ def _registers(direction: str) -> dict[str, str]:
     return {**bits, **single, **ints, **doubles}
 
 
-# Variables that come from the simulation, beginning with those that our own client requests.
+# Variables that come from the simulation, beginning with those that `RtdeReceiver` requests.
 SIMULATED = {
     **{name: kind for name, kind, _ in VARIABLES},
     **dict.fromkeys(
@@ -43,7 +43,7 @@ SIMULATED = {
     **dict.fromkeys(("target_speed_fraction", "tcp_force_scalar"), "DOUBLE"),
     "actual_digital_output_bits": "UINT64",
 }  # fmt: skip
-# Constant variables and their values; quantities without a meaning in simulation are 0.
+# Constant variables and their values. Quantities without a meaning in simulation are 0.
 CONSTANT: dict[str, tuple[str, Any]] = {
     "joint_mode": ("VECTOR6INT32", [253] * 6),  # running
     "safety_status": ("INT32", 1),  # normal
@@ -89,7 +89,7 @@ OUTPUTS = {
 
 
 class Recipe:
-    """Encodes the values of the variables that a client has requested.
+    """Encodes and decodes the values of the variables that a client has requested.
 
     Attributes:
         size: total size of the values in bytes.
@@ -108,7 +108,7 @@ class Recipe:
         self.size = self._struct.size
 
     def pack(self, value_of: Callable[[str], Any]) -> bytes:
-        """Encodes the values that `value_of` returns: a number, or a vector of numbers."""
+        """Encodes the values that `value_of` returns, each a number or a vector of numbers."""
         numbers: list[Any] = []
         for name, count in zip(self.names, self._counts, strict=True):
             value = value_of(name)
@@ -119,7 +119,7 @@ class Recipe:
         return self._struct.pack(*numbers)
 
     def unpack(self, data: bytes) -> dict[str, Any]:
-        """Returns a mapping from names to values; raises ValueError if a number is not finite."""
+        """Returns the decoded values by name. Raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
             raise ValueError("not finite")

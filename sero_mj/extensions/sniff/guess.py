@@ -16,13 +16,13 @@ from .mixed_layout import LARGEST, SMALLEST, mixed_layout
 
 _MAX_JOINTS = 64
 _MAX_GUESSES = 4
-_MAX_NUMBERS = 512  # searched for frames
-# By bytes of a checksum: how many different values it must have taken in the packets to be
-# recognized. Fewer may fit one of the algorithms by chance.
+_MAX_NUMBERS = 512  # maximum count of numbers that are searched for frames
+# Minimum number of different values that a checksum must have in the packets, by size in bytes.
+# Fewer values may match one of the algorithms by chance.
 _MIN_DIFFERENT = {4: 2, 2: 3, 1: 8}
 _BEGINS = (0, 2, 4, 1, 3)  # candidates for the first byte that a checksum covers
-_HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # size in bytes to structure
-_LETTERS = {1: "B", 2: "H", 4: "I"}  # of unsigned integers, by bytes
+_HEADERS = {0: "", 2: "1H", 4: "1I", 8: "1Q", 16: "2Q"}  # structures by size in bytes
+_LETTERS = {1: "B", 2: "H", 4: "I"}  # types of unsigned integers by size in bytes
 _TYPES = {
     "<f8": "float64",
     "<f4": "float32",
@@ -37,11 +37,12 @@ _IN_WORDS = {
 
 @dataclass(frozen=True)
 class Guess:
-    """A possible layout: arguments of `Structure`, and a description.
+    """A possible packet layout: arguments of `Structure`, and a description.
 
     Attributes:
+        about: description of the layout.
         plausible: share of the non-zero floating-point numbers that look like measurements, 0 to 1;
-            1 if there are none.
+            1 if there are no such numbers.
     """
 
     structure: str
@@ -53,7 +54,7 @@ class Guess:
 
 @dataclass(frozen=True)
 class Recognized:
-    """A checksum at the end of packets, `width` bytes; it covers the bytes from `begin` on."""
+    """A checksum of `width` bytes at the end of packets, which covers the bytes from `begin`."""
 
     name: str
     width: int
@@ -62,7 +63,7 @@ class Recognized:
 
 
 def recognize(rows: NDArray[np.uint8]) -> Recognized | None:
-    """Returns the checksum at the end of one sender's packets (n, size), or None."""
+    """Returns the checksum at the end of packets from one sender, shape (n, size), or None."""
     for width, minimum in _MIN_DIFFERENT.items():
         end = rows.shape[1] - width
         for order in "<>"[: min(width, 2)]:
@@ -86,7 +87,10 @@ def recognize(rows: NDArray[np.uint8]) -> Recognized | None:
 
 
 def guess_layouts(rows: Rows) -> list[Guess]:
-    """Returns up to four layouts of a sender's consecutive packets (n, size), most likely first."""
+    """Returns up to four possible layouts of packets, the most likely layout first.
+
+    `rows` contains consecutive packets from one sender, shape (n, size).
+    """
     size, found = rows.shape[1], recognize(rows)
     if found is not None:
         guesses = _guess_layouts(rows[:, : size - found.width], size)
@@ -116,7 +120,7 @@ def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
     ranked = [
         ranked_guess
         for (start, type_), ranked_guess in fits.items()
-        # An unexplained header, and the other byte order, only if they explain more.
+        # An unexplained header or another byte order must explain more numbers.
         if (start == begin or ranked_guess[1].plausible > best + 0.2)
         and (
             type_[0] == first or ranked_guess[1].plausible > _of(fits[start, f"{first}{type_[1:]}"])
@@ -136,7 +140,7 @@ def _guess_layouts(rows: Rows, size: int) -> list[Guess]:
 
 
 def known_packets() -> dict[int, tuple[str, str]]:
-    """Returns the structure (row-major) and description of commercial robots' packets, by size."""
+    """Returns the structure (row-major) and description of known packets of robots, by size."""
     found = load_all(KNOWN_PACKETS).values()
     return {size: about for packets in found for size, about in packets.items()}
 
@@ -200,7 +204,7 @@ def plausibility(numbers: NDArray[np.floating]) -> tuple[float, int]:
     with np.errstate(invalid="ignore", over="ignore"):
         sizes = np.abs(numbers.astype(np.float64))
         good = (sizes >= SMALLEST) & (sizes <= LARGEST)
-    others = int((sizes != 0).sum())  # NaN is one of them
+    others = int((sizes != 0).sum())  # includes NaN
     return (float(good.sum()) / others if others else 1.0), int(good.sum())
 
 
@@ -238,7 +242,10 @@ def _plural(count: int, word: str) -> str:
 
 
 def find_frames(numbers: NDArray[np.floating]) -> tuple[list[int], bool]:
-    """Returns the offsets of rigid frames in all rows (n, k), and whether they are column-major."""
+    """Returns the offsets of rigid frames that all rows have, and whether they are column-major.
+
+    `numbers` has the shape (n, k).
+    """
     if not 16 <= numbers.shape[1] <= _MAX_NUMBERS:
         return [], True
     with np.errstate(invalid="ignore", over="ignore"):
@@ -260,9 +267,9 @@ def find_header(rows: Rows, size: int) -> tuple[str, int]:
     """Returns structure and length of a header with a packet counter or size; "" and 0 for none.
 
     Args:
-        rows: consecutive packets without a checksum at the end, (n, k). A counter is detected in
-            four packets or more.
-        size: bytes of the whole packets.
+        rows: consecutive packets without a checksum at the end, shape (n, k). A counter is detected
+            in four packets or more.
+        size: size of the whole packets in bytes.
     """
     little, big = (_header_in(rows, size, order) for order in "<>")
     return (f">{big[0]}", big[1]) if big[1] > little[1] else little
@@ -276,7 +283,7 @@ def _header_in(rows: Rows, size: int, order: str) -> tuple[str, int]:
                 continue
             numbers = rows[:, at : at + each].view(f"{order}u{each}")[:, 0]
             numbers = numbers.astype(f"u{each}")  # so that differences wrap in either byte order
-            # Eight bytes only if doubles after them stay aligned.
+            # A counter of eight bytes must keep the doubles after it aligned.
             if letter == "Q" and ((count - at) % 8 or (numbers >= 2**32).any()):
                 continue
             if letter == "I" and (_second(numbers, order) == size).all():
@@ -305,7 +312,7 @@ def is_text(packet: bytes) -> bool:
 
 
 def describe_bytes(rows: Rows) -> str:
-    """Returns a description of packets (n, size) that are text or only zeros; else ""."""
+    """Returns a description of packets, shape (n, size), that are text or only zeros, or ""."""
     if not rows.size:
         return "empty"
     if not rows.any():

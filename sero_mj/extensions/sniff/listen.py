@@ -28,19 +28,19 @@ if TYPE_CHECKING:
 
     from ...cli.structure import StructureOptions
 
-_PACKETS_FOR_GUESSES = 16  # of each stream
+_PACKETS_FOR_GUESSES = 16  # maximum number of packets per stream
 _MAX_STREAMS = 100
-_REFRESH = 0.25  # s between updates of a terminal
-_PRINT_INTERVAL = 2.0  # s between lines about one stream if the output is not a terminal
-_SHOWN_NUMBERS = 4  # of an event
+_REFRESH = 0.25  # time between updates of a terminal, s
+_PRINT_INTERVAL = 2.0  # time between lines about a stream if the output is not a terminal, s
+_SHOWN_NUMBERS = 4  # maximum number of printed values of an event
 
 
 @dataclass
 class Stream:
-    """Packets of one size from one sender.
+    """The packets of one size from one sender.
 
     Attributes:
-        last: the packets that are used for guesses.
+        last: latest packets, which are used for guesses.
     """
 
     sender: tuple[str, int]
@@ -63,7 +63,7 @@ class Stream:
 
     @property
     def description(self) -> str:
-        """Description of packets that are text or only zeros; else empty."""
+        """Description of packets that are text or only zeros; empty for other packets."""
         return describe_bytes(self.rows)
 
     def decode(self, guess: Guess) -> dict[str, Any]:
@@ -74,15 +74,15 @@ class Stream:
 
 
 class Sniffer:
-    """Receives packets of any size from any sender; raises SourceError.
+    """A receiver of UDP packets of any size from any sender; raises SourceError.
 
     Args:
         host: local address, like `host` of `UdpReceiver`.
-        port: port to listen on; 0 lets the system choose.
+        port: port to listen on; 0 for a port that the system chooses.
         interface: network interface, like `interface` of `UdpReceiver`.
 
     Attributes:
-        streams: mapping from sender and size to streams, in the order of the first packets.
+        streams: streams by sender and packet size, in the order of their first packets.
         ignored: number of packets of streams beyond the first hundred.
     """
 
@@ -95,7 +95,7 @@ class Sniffer:
             raise SourceError(
                 "sniff",
                 f"UDP port {port} on {host} is in use. Close the program that listens on it, "
-                "such as a viewer, while you sniff",
+                "such as a viewer, before using --sniff",
             ) from error
         self._datagrams = Datagrams(self._socket, MAX_PACKET_BYTES)
         self.port = int(self._socket.getsockname()[1])
@@ -114,7 +114,7 @@ class Sniffer:
         if select.select([self._socket], [], [], timeout)[0]:
             while self.received - before < limit and (batch := self._datagrams.receive()):
                 self._add(batch, limit - (self.received - before))
-                if len(batch) < 8:  # a fast sender would have filled the buffer meanwhile
+                if len(batch) < 8:  # the sender is not so fast that more packets are waiting
                     break
         return self.received - before
 
@@ -145,7 +145,7 @@ def sniff(port: int, options: StructureOptions, layout: Structure | None) -> int
     """Prints the packets that arrive at a port until Ctrl+C, `--duration` or `--count`; returns 0.
 
     Args:
-        layout: the structure by which packets are decoded; None for guesses only.
+        layout: packet layout; None to print only guesses.
     """
     host, interface = options.host or "127.0.0.1", options.interface or ""
     with Sniffer(host, port, interface) as sniffer:
@@ -216,7 +216,7 @@ def _summary(place: str, sniffer: Sniffer, seconds: float) -> str:
     count = len(sniffer.streams)
     if not count:
         return f"no packets received on {place} in {seconds:.1f} s"
-    ignored = f"; ignored {sniffer.ignored} packets of more senders" if sniffer.ignored else ""
+    ignored = f"; ignored {sniffer.ignored} packets of other senders" if sniffer.ignored else ""
     streams = f"{count} different senders or sizes" if count > 1 else "one sender"
     return f"{sniffer.received} packets in {seconds:.1f} s on {place} from {streams}{ignored}"
 

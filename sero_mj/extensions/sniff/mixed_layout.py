@@ -17,16 +17,16 @@ from ...data.receive.structure import Rows
 
 SMALLEST, LARGEST = 1e-6, 1e6  # magnitudes of plausible measurements in SI units
 _MAX_BYTES = 2048
-_NEW_TYPE, _NEW_ITEM = 8.0, 1.0  # bits
+_NEW_TYPE, _NEW_ITEM = 8.0, 1.0  # costs of a change of type and of an item, bits
 _MAX_RAW = 0.25  # share of unexplained bytes above which no guess is made
-# NumPy's type and the bits of a number of usual magnitude: of the 2,048 exponents of a double, 40
-# are from 1e-6 to 1e6. For integers, the largest usual value.
+# NumPy's type, and the bits of a number of usual magnitude (of the 2,048 exponents of a double, 40
+# are from 1e-6 to 1e6) or the largest usual integer.
 _FLOATS = {"d": ("f8", 58.0), "f": ("f4", 29.0)}
 _INTEGERS = {"I": ("u4", 2**16), "i": ("i4", 2**16), "H": ("u2", 2**12), "h": ("i2", 2**12),
              "B": ("u1", 2**4)}  # fmt: skip
 _WIDTHS = {"Q": 8, "I": 4, "H": 2, "B": 1}
-# Bits of a zero, of the same number as in the previous packet, of that number plus one, and the
-# bits that an unusual number costs beyond its own.
+# Bits of a zero, of the same number as in the previous packet, and of that number plus one.
+# The last entry is the number of additional bits of an unusual number.
 _ZERO, _SAME, _COUNTED, _UNUSUAL = 2.0, 1.0, 1.0, 4.0
 _EXPONENT_BITS = 3.0  # bits of the exponent that stay the same in a smooth signal
 _PADDING_BITS = 0.5  # bits of an always-zero byte
@@ -34,7 +34,7 @@ _PADDING_BITS = 0.5  # bits of an always-zero byte
 
 @dataclass(frozen=True)
 class Run:
-    """Adjacent items of one type, by its letter in structures; `x` for skipped bytes."""
+    """Adjacent items of one type; `letter` is its letter in structures, or `x` for padding."""
 
     letter: str
     count: int
@@ -42,11 +42,11 @@ class Run:
 
 
 def mixed_layout(rows: Rows) -> tuple[str, list[Run], float] | None:
-    """Guesses the layout of a sender's consecutive packets, (n, size).
+    """Guesses the layout of consecutive packets from one sender, shape (n, size).
 
     Returns:
-        byte order (`<` or `>`), layout, and share of the bytes with usual values; None if most
-        bytes are unusual.
+        Byte order (`<` or `>`), layout, and share of the bytes with usual values; None if too many
+        bytes are unusual, or the packets have neither floating-point numbers nor a counter.
     """
     if not 0 < rows.shape[1] <= _MAX_BYTES:
         return None
@@ -75,7 +75,7 @@ def _wide_counters(runs: list[Run]) -> list[Run]:
 
 @dataclass(frozen=True, eq=False)
 class _Kind:
-    """Items of one type at every byte: bits, unusual bytes, whether it is a counter; all (k,)."""
+    """The cost of an item of one type at each of k bytes; arrays have the shape (k,)."""
 
     width: int
     bits: Array

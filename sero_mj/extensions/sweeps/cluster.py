@@ -1,4 +1,4 @@
-"""`Cluster`: runs tasks on the workers of a Dask cluster.
+"""Runs tasks on the workers of a Dask cluster.
 
 This program, not the scheduler, assigns batches to workers. Each worker has two batches, and gets
 the next batch when one is done. Therefore, workers that join late are used, few tasks wait at the
@@ -26,11 +26,11 @@ if TYPE_CHECKING:
 
 log = logging.getLogger(__name__)
 
-PATIENCE = 10.0  # s, timeout of the connection to a scheduler
+PATIENCE = 10.0  # timeout of the connection to a scheduler, s
 ELSEWHERE = 2  # maximum number of times that a task is repeated after its worker died
 _EACH = 2  # batches per worker: one that runs, and the next one
-_LOOK = 1.0  # s between checks for new and dead workers
-_ANSWER = 30.0  # s, timeout for the transfer of results
+_LOOK = 1.0  # time between checks for new and dead workers, s
+_ANSWER = 30.0  # timeout for the transfer of results, s
 _NEEDED = "pip install 'sero-mj[dask]'"
 _QUEUES = {
     "slurm": "SLURMCluster",
@@ -44,8 +44,8 @@ class Cluster:
     """An `Engine` of Dask workers, which need no shared disk.
 
     Args:
-        scheduler: an address `tcp://HOST:PORT`, a scheduler file `.json`, or a file `.toml` with a
-            table for `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
+        scheduler: address `tcp://HOST:PORT`, scheduler file (.json), or .toml file with a table for
+            `dask-jobqueue`: `[slurm]`, `[pbs]`, `[lsf]` or `[sge]`.
         shipped: additional files and folders to send to the workers.
 
     Attributes:
@@ -77,7 +77,7 @@ class Cluster:
         """Yields results in the order of their completion.
 
         Raises:
-            ClusterError: the scheduler is not available, or workers have other versions.
+            ClusterError: the scheduler is not available, or the versions of workers differ.
         """
         with _quiet(), self._client() as client:
             from .cluster_worker import JobFiles
@@ -106,9 +106,9 @@ class Cluster:
                 yield client
             return
         is_file = self._scheduler.endswith(".json")
-        given = {"scheduler_file" if is_file else "address": self._scheduler}
+        place = {"scheduler_file" if is_file else "address": self._scheduler}
         try:
-            client = Client(**given, timeout=PATIENCE, set_as_default=False)
+            client = Client(**place, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
             reason = f"no scheduler answered within {PATIENCE:.0f} s"
             if isinstance(error, ValueError):
@@ -123,7 +123,7 @@ class _Run:
     """The execution of `Work` on the workers of a client.
 
     Args:
-        address: address of the scheduler, for errors.
+        address: address of the scheduler, for error messages.
     """
 
     def __init__(self, client: Any, address: str, work: Work, files: JobFiles) -> None:
@@ -131,8 +131,9 @@ class _Run:
         self._todo: deque[Task] = deque(work.tasks)
         self._alone: deque[Task] = deque()  # tasks of killed workers, which are run one by one
         self._deaths: Counter[int] = Counter()
-        self._batches: dict[str, tuple[str, Sequence[Task], Any]] = {}  # by the future's key
-        self._of: dict[str, deque[str]] = {}  # worker to keys, the running one first
+        # Worker, tasks and future of each batch, by key of the future.
+        self._batches: dict[str, tuple[str, Sequence[Task], Any]] = {}
+        self._of: dict[str, deque[str]] = {}  # keys by worker, with the running batch first
         self._refused: set[str] = set()
         self._done: queue.SimpleQueue[str] = queue.SimpleQueue()
         self._count, self._has_warned = 0, False
@@ -188,13 +189,13 @@ class _Run:
         from .cluster_worker import differences_on_worker
 
         try:
-            told = self._client.run(
+            answers = self._client.run(
                 differences_on_worker, self._files.name, workers=new, on_error="return"
             )
         except OSError:
             return  # a worker is gone; the others are checked again
         differing = {}
-        for worker, found in told.items():
+        for worker, found in answers.items():
             if isinstance(found, KeyError | OSError):
                 continue  # the worker has just joined or left; it is checked again
             if found:
@@ -203,7 +204,7 @@ class _Run:
                 differing[worker] = "; ".join(lines)
                 continue
             self._of[worker] = deque()
-        wide = [worker for worker in told if threads[worker] > 1]
+        wide = [worker for worker in answers if threads[worker] > 1]
         if wide and not self._has_warned:
             self._has_warned = True
             log.warning(
@@ -269,10 +270,10 @@ class _Run:
     def _lost(self, worker: str) -> list[Result]:
         """Reassigns the tasks of a dead worker.
 
-        Returns the results of those that failed too often.
+        Returns the results of tasks that have failed too often to be repeated.
         """
         keys = self._of.pop(worker)
-        given_up: list[Result] = []
+        failed: list[Result] = []
         waiting: list[Task] = []
         for place, key in enumerate(keys):
             _, batch, future = self._batches.pop(key)
@@ -284,12 +285,12 @@ class _Run:
             for number, values in batch:
                 self._deaths[number] += 1
                 if self._deaths[number] > ELSEWHERE:
-                    given_up.append((number, self._work.job.killed()))
+                    failed.append((number, self._work.job.killed()))
                 else:
                     self._alone.append((number, values))
         self._todo.extendleft(reversed(waiting))
         log.info("worker %s is gone", worker)
-        return given_up
+        return failed
 
     def end(self) -> None:
         if self._client.status != "running":
@@ -319,7 +320,7 @@ def _quiet() -> Iterator[None]:
     levels = [each.level for each in logs]
     for each in logs:
         each.setLevel(logging.CRITICAL + 1)
-    yield  # not in `finally`: after an error, cancelled tasks would log theirs
+    yield  # without `finally`, because cancelled tasks would log errors after an exception
     for each, level in zip(logs, levels, strict=True):
         each.setLevel(level)
 

@@ -31,7 +31,7 @@ def versions() -> dict[str, str]:
 
 
 class JobFiles(WorkerPlugin):  # type: ignore[misc]
-    """A job and its files in a temporary folder of a worker."""
+    """A plug-in that stores a job and its files in a temporary folder of each worker."""
 
     def __init__(self, name: str, archive: bytes, job: Job, models: Mapping[str, str]) -> None:
         self.name, self._archive = name, archive
@@ -39,7 +39,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         self._versions, self._code = versions(), digest_of_code()
 
     def setup(self, worker: Any) -> None:
-        """Unpacks the files. Called by the worker, as is `teardown`."""
+        """Unpacks the files. Called by the worker."""
         os.environ["MUJOCO_GL"] = "disable"  # no rendering here
         self._root = Path(worker.local_directory).absolute() / self.name
         self._kept = set(unpack(self._archive, self._root))
@@ -77,7 +77,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         return text.replace(str(self._root), "")
 
     def run(self, tasks: Sequence[Mapping[str, Any]], archive: bytes) -> list[dict[str, Any]]:
-        """Runs tasks, see `Runner.run`; the archive contains their additional files."""
+        """Runs tasks as `Runner.run` does; the archive contains their additional files."""
         with self._alone:
             if self._runner is None:
                 self._runner = self._job.below(self._root).runner()
@@ -93,12 +93,12 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
 def run_tasks(
     name: str, tasks: Sequence[Mapping[str, Any]], archive: bytes
 ) -> list[dict[str, Any]]:
-    """Runs tasks with the plug-in of this name."""
+    """Runs tasks with the `JobFiles` of this name. Called on a worker."""
     found: list[dict[str, Any]] = get_worker().plugins[name].run(tasks, archive)
     return found
 
 
 def differences_on_worker(name: str, dask_worker: Any) -> list[str]:
-    """Returns the differences of a worker, found by the plug-in with this name."""
+    """Returns the differences that the `JobFiles` of this name detect. Called on a worker."""
     found: list[str] = dask_worker.plugins[name].differences()
     return found

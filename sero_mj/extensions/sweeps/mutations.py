@@ -1,8 +1,8 @@
-"""`Mutations`: tests whether the expectations of a scenario detect faults.
+"""Tests whether the expectations of a scenario detect faults.
 
 An expectation that always passes tests nothing. As in mutation testing of programs, each mutation
-makes one change for the worse (half the stiffness, an undeclared load, a sensor bias), and at least
-one expectation should fail.
+worsens the scenario in one way (half the stiffness, an undeclared load, a sensor bias), so that at
+least one expectation should fail.
 
 Source: DeMillo, Lipton, Sayward 1978, Hints on Test Data Selection: Help for the Practicing
 Programmer, Computer 11(4).
@@ -27,9 +27,10 @@ _EXAMPLE = 'a table such as ["half as stiff"] with "controllers.lwr.stiffness" =
 
 @dataclass(frozen=True)
 class Mutations:
-    """The unchanged scenario and one variant per mutation; a `Design` of a sweep.
+    """A `Design` of a sweep: the unchanged scenario, and one variant per mutation.
 
     Args:
+        file: TOML file with the mutations.
         tables: mapping from names of mutations to values by dotted key.
     """
 
@@ -61,18 +62,18 @@ class Mutations:
 
     @cached_property
     def variants(self) -> list[dict[str, Any]]:
-        """The values of all variants; empty for the unchanged scenario."""
+        """Overriding values of all variants by dotted key; empty for the unchanged scenario."""
         return [{}, *map(dict, self.tables.values())]
 
     def name(self, number: int) -> str:
-        """Returns the mutation of a variant; empty for the unchanged scenario."""
+        """Returns the name of a variant's mutation, or "" for the unchanged scenario."""
         return ["", *self.tables][number]
 
     def cells(self, number: int) -> dict[str, Any]:
         return {COLUMN: self.name(number)}
 
     def choices(self) -> list[dict[str, Any]]:
-        """Returns all mutations, because any may name a file."""
+        """Returns the values of all mutations, because any mutation may name a file."""
         return self.variants[1:]
 
     def settings(self) -> dict[str, Any]:
@@ -116,8 +117,9 @@ class Judged:
 
     Attributes:
         noticed_by: failed expectations, or the error that stopped the run.
-        moved: expectation with the largest relative change of its value by the mutation, which is
-            the best one to tighten if nothing is detected; None if no value changes or is known.
+        moved: expectation whose value the mutation changes most, relative to its value without the
+            mutation; None if no value is known or changes. If no expectation detects the mutation,
+            tighten this one.
         value: value of the expectation `moved` with the mutation.
         value_without: value of the expectation `moved` without the mutation.
     """
@@ -129,10 +131,11 @@ class Judged:
 
 
 def judge(row: Mapping[str, Any], without: Mapping[str, Any]) -> Judged:
-    """Returns which expectations detect a mutation.
+    """Returns the expectations that detect a mutation.
 
     Args:
-        without: row of the unchanged scenario; empty if unknown.
+        row: results of the mutation by column.
+        without: results of the unchanged scenario by column; empty if unknown.
     """
     columns = value_columns([*row])
     expected = [name for name in columns if columns[name].startswith("expect.")]

@@ -14,12 +14,12 @@ from .sweep import Sweep
 from .sweep_results import Rows, summarise_sweep
 
 _MAX_NAMES = 3  # maximum number of shown expectations per mutation
-_WIDTH = 100  # characters, of expectations or of an error
+_WIDTH = 100  # maximum width of expectations or of an error, characters
 _ERRORS = 5  # maximum number of shown errors
 
 
 class Report(Protocol):
-    """A summary of the completed variants.
+    """A summary of the completed variants of a sweep.
 
     Attributes:
         is_good: whether all variants passed, or all mutations were detected.
@@ -27,7 +27,7 @@ class Report(Protocol):
 
     is_good: bool
 
-    def tell(self) -> None: ...
+    def show(self) -> None: ...
 
     def as_json(self) -> dict[str, Any]: ...
 
@@ -40,14 +40,14 @@ def report_of(sweep: Sweep, rows: Rows) -> Report:
 
 
 class _OfSamples:
-    """Reports the lowest and highest outcomes, and the number of variants that passed."""
+    """A summary with the lowest and highest outcomes, and the number of variants that passed."""
 
     def __init__(self, sweep: Sweep, rows: Rows) -> None:
         self._sweep = sweep
         self._summary = summarise_sweep(rows, sweep.columns)
         self.is_good = self._summary.held == self._summary.count
 
-    def tell(self) -> None:
+    def show(self) -> None:
         from rich.table import Table
 
         summary = self._summary
@@ -106,7 +106,7 @@ class _OfSamples:
 
 
 class _OfMutations:
-    """Reports detected and undetected mutations."""
+    """A summary of detected and undetected mutations."""
 
     def __init__(self, design: Mutations, rows: Rows) -> None:
         without = rows.get(0, {})
@@ -117,7 +117,7 @@ class _OfMutations:
         self._unnoticed = [name for name, judged in found.items() if not judged.noticed_by]
         self.is_good = not (self._unnoticed or self._failing)
 
-    def tell(self) -> None:
+    def show(self) -> None:
         from rich.table import Table
         from rich.text import Text
 

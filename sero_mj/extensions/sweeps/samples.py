@@ -24,11 +24,11 @@ _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
 
 @dataclass(frozen=True)
 class Vary:
-    """A key with a range or a list of values.
+    """A key of a scenario, with the range or list of its values in a sweep.
 
     Attributes:
         key: dotted key as in `read_scenario(overrides=...)`: `controllers.lwr.stiffness`.
-        text: values as in the option, for example `100:2000`.
+        text: values as written in the option, for example `100:2000`.
         low: lower end of the range.
         high: upper end of the range.
         scale: `linear`, `log`, or `int` (integers, including both ends).
@@ -44,7 +44,7 @@ class Vary:
 
     @classmethod
     def parse(cls, option: str) -> Vary:
-        """Parses `KEY=VALUES`. Raises UsageError if it is neither a range nor a list."""
+        """Parses `KEY=VALUES`; raises UsageError if VALUES is neither a range nor a list."""
         key, equals, text = (part.strip() for part in option.partition("="))
         if not equals or not text or "." not in key:
             example = "e.g. controllers.lwr.stiffness=100:2000"
@@ -127,10 +127,10 @@ def latin_hypercube(varied: Sequence[Vary], samples: int, seed: int) -> list[dic
 
 
 def full_grid(varied: Sequence[Vary], count: int) -> list[dict[str, Any]]:
-    """Returns all combinations of the keys' values, with `count` values per range.
+    """Returns all combinations of values, with `count` values per range.
 
     Raises:
-        UsageError: there are more than `MAX_VARIANTS`.
+        UsageError: there are more than `MAX_VARIANTS` combinations.
     """
     columns = [vary.grid(count) for vary in varied]
     many = math.prod(map(len, columns))
@@ -166,12 +166,13 @@ def _number_or_word(text: str) -> Any:
 
 @dataclass(frozen=True)
 class Samples:
-    """Variants with values from ranges and lists; a `Design` of a sweep.
+    """A `Design` of a sweep: variants with values from ranges and lists.
 
     Args:
+        varied: keys with their ranges and lists.
         count: maximum number of variants; for a grid, number of values per range.
-        is_grid: whether to combine all values; otherwise a Latin hypercube without repetitions. If
-            there are at most `count` combinations, all of them are used.
+        is_grid: whether to use all combinations instead of a Latin hypercube without repetitions.
+            If there are at most `count` combinations, all of them are used in both cases.
         seed: seed of the samples. The sensor noise has the seed of the scenario in all variants.
 
     Raises:

@@ -1,9 +1,9 @@
 """Finds the files that a scenario reads, and packs them for machines without a shared disk.
 
-Another process reads the scenario and makes its simulation, while all opened files are recorded.
-The files are packed with their folders and unpacked below another root, so relative names stay
-valid; absolute names in texts are rewritten. Installed files (Python, packages, our robots) are
-not packed; they must be the same on the other machine.
+Another process reads the scenario and creates its simulation, while all opened files are recorded.
+The files are packed with their folders and unpacked below another root, so that relative names stay
+valid. Absolute names in texts are rewritten. Installed files (Python, packages, included robots)
+are not packed, because they must be the same on the other machine.
 """
 
 from __future__ import annotations
@@ -44,8 +44,9 @@ def files_read(
     Files that controller programs open themselves are not included, but the programs are.
 
     Args:
-        fixed: values by dotted key for all variants.
-        choices: additional values by key of some variants, which may be file names.
+        file: scenario file.
+        fixed: values for all variants by dotted key.
+        choices: values of some variants by dotted key, which may be file names.
     """
     request = json.dumps([str(file), dict(fixed), [dict(each) for each in choices]], default=str)
     environment = {**os.environ, "MUJOCO_GL": "disable"}
@@ -61,7 +62,7 @@ def files_read(
 
 
 def pack(files: Sequence[Path]) -> bytes:
-    """Returns an archive of files and folders; raises UsageError if larger than 1 GB."""
+    """Returns an archive of files with their folders; raises UsageError if they exceed 1 GB."""
     size = sum(file.stat().st_size for file in files)
     if size > _MAX_BYTES:
         largest = max(files, key=lambda file: file.stat().st_size)
@@ -76,7 +77,7 @@ def pack(files: Sequence[Path]) -> bytes:
 
 
 def unpack(archive: bytes, root: Path) -> list[Path]:
-    """Extracts an archive below a root, rewrites absolute names in texts, and returns the files."""
+    """Extracts an archive below a root and rewrites absolute names in texts; returns the files."""
     with tarfile.open(fileobj=io.BytesIO(archive)) as tar:
         tar.extractall(root, filter="data")
         files = [root / name for name in tar.getnames()]
@@ -91,7 +92,7 @@ def unpack(archive: bytes, root: Path) -> list[Path]:
 
 
 def digest_of_models(files: Iterable[Path]) -> dict[str, str]:
-    """Returns the SHA-256 of the included files among these, by name in the folder of models."""
+    """Returns the SHA-256 of the files that are in the folder of models, by relative name."""
     shipped = paths.models_dir().resolve()
     found = {}
     for file in files:
@@ -114,7 +115,7 @@ def digest_of_code() -> str:
 
 
 def is_installed(file: Path) -> bool:
-    """Whether a file belongs to the system, Python or a package, or is shipped with sero-mj."""
+    """Whether a file is part of the system, Python, a package, or the robots of sero-mj."""
     scenes = paths.scenes_dir().resolve()
     if file.is_relative_to(scenes):
         return False  # scenarios are read by their paths
@@ -128,9 +129,9 @@ def _installed() -> tuple[Path, ...]:
 
 
 def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]]) -> set[Path]:
-    """Reads and makes variants of a scenario.
+    """Reads and simulates variants of a scenario, without running them.
 
-    Returns all opened files, also those of included robots.
+    Returns all opened files that are not installed, and those of included robots.
     """
     noted: set[str] = set()
 

@@ -1,4 +1,4 @@
-"""`Sweep`: runs the variants of a scenario that a `Design` selects."""
+"""Runs the variants of a scenario that a `Design` selects."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ _BATCH, _BATCH_STEPS = 64, 2_500_000
 
 
 class Design(Protocol):
-    """A set of variants: `samples.Samples` or `mutations.Mutations`."""
+    """The set of variants of a sweep, such as `samples.Samples` and `mutations.Mutations`."""
 
     @property
     def columns(self) -> list[str]:
-        """Columns of the table that identify variants."""
+        """Columns that identify the variants in the table of results."""
 
     @property
     def variants(self) -> list[dict[str, Any]]:
-        """Values by dotted key, one mapping per variant."""
+        """Overriding values of all variants by dotted key."""
 
     def cells(self, number: int) -> dict[str, Any]:
         """Returns the cells of a variant in `columns`."""
@@ -45,16 +45,21 @@ class Design(Protocol):
         """Returns all settings that the variants depend on."""
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
-        """Raises SeroError if variants are invalid; `fixed` contains values for all variants."""
+        """Raises SeroError if variants are invalid.
+
+        `read` reads the scenario with the values of a variant. `fixed` contains values for all
+        variants.
+        """
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """Variants of a scenario.
+    """The variants of a scenario that a design selects.
 
     Args:
-        file: the scenario file.
-        fixed: values by dotted key for all variants.
+        file: scenario file.
+        design: set of variants.
+        fixed: values for all variants by dotted key.
 
     Raises:
         UsageError: the design sets a fixed key.
@@ -71,7 +76,7 @@ class Sweep:
 
     @cached_property
     def base(self) -> Scenario:
-        """The scenario without the values of variants."""
+        """Scenario with the fixed values, but without the values of a variant."""
         return self._read({})
 
     def _read(self, values: Mapping[str, Any]) -> Scenario:
@@ -106,17 +111,17 @@ class Sweep:
         return {key: _plain(value) for key, value in settings.items()}
 
     def shard(self, number: int = 1, of: int = 1) -> range:
-        """Returns the numbers of the variants in a shard, which is counted from 1."""
+        """Returns the numbers of the variants in shard `number` (from 1) of `of` shards."""
         return range(number - 1, len(self.variants), of)
 
     def run(
         self, engine: Engine | None = None, numbers: Collection[int] | None = None
     ) -> Generator[Result]:
-        """Runs variants; yields numbers and results in the order of their completion.
+        """Runs variants; yields their numbers and results in the order of completion.
 
         Args:
             engine: engine, for example `Processes(4)`; None for this process.
-            numbers: numbers of the variants; None for all.
+            numbers: numbers of the variants; None for all variants.
         """
         wanted = range(len(self.variants)) if numbers is None else numbers
         todo = [(number, self.variants[number]) for number in wanted]

@@ -63,19 +63,19 @@ class SweepOptions(EngineOptions, JsonOptions):
     """Run variants of a scenario in parallel, and compare their outcomes.
 
     Attributes:
-        scenario: scenario file, or name of an included scenario.
-        vary: key and values of a variable; may be repeated.
+        scenario: file or included name of a scenario.
+        vary: key to vary, and its values; repeatable.
         mutations: file with mutations that expectations should detect.
         samples: number of variants; with --grid, number of values per range (default: 20).
         grid: run all combinations of the values.
         seed: seed of the samples.
-        settings: set a value in all variants, for example run.duration=2; may be repeated.
+        settings: set a value in all variants, for example run.duration=2; repeatable.
         out: output table with one row per variant.
         plot: file for a plot of outcomes over values.
         shard: run only every Nth variant, starting from the Ith.
-        merge: join the tables of shards instead of running: a file, or a pattern 'part.*.csv'; may
-            be repeated.
-        print_sbatch: print a SLURM job that runs N shards, instead of running.
+        merge: join tables of shards (a file, or a pattern such as 'part.*.csv') instead of running
+            variants; repeatable.
+        print_sbatch: print a SLURM job that runs N shards, instead of running variants.
         resume: continue an existing OUT.csv.
         overwrite: replace an existing OUT.csv.
         as_json: print the result as JSON.
@@ -103,22 +103,22 @@ class SweepOptions(EngineOptions, JsonOptions):
         if not self.vary and self.mutations is None:
             raise ValueError("--vary: expected KEY=VALUES, or --mutations FILE.toml")
         if self.vary and self.mutations is not None:
-            raise ValueError("--vary and --mutations: expected one of them")
+            raise ValueError("--vary cannot be combined with --mutations")
         if self.mutations is not None and self.plot is not None:
-            raise ValueError("--plot: requires --vary; mutations have no axes")
+            raise ValueError("--plot needs --vary, because mutations have no axes")
         return self
 
     @model_validator(mode="after")
     def _check_resume(self) -> Self:
         if self.resume and self.out is None:
-            raise ValueError("--resume: expected the file to continue, -o OUT.csv")
+            raise ValueError("--resume needs the file to continue: add -o OUT.csv")
         if self.resume and self.overwrite:
-            raise ValueError("--resume and --overwrite: expected one of them")
+            raise ValueError("--resume cannot be combined with --overwrite")
         if self.shard is not None and self.merge:
-            raise ValueError("--shard and --merge: expected one of them")
+            raise ValueError("--shard cannot be combined with --merge")
         if (self.shard is not None or self.merge) and self.out is None:
             option = "--merge" if self.merge else "--shard"
-            raise ValueError(f"{option}: expected a file for the rows, -o OUT.csv")
+            raise ValueError(f"{option} needs a file for the rows: add -o OUT.csv")
         return self
 
     def design(self) -> Design:
@@ -135,7 +135,8 @@ class SweepOptions(EngineOptions, JsonOptions):
 def run(options: SweepOptions) -> int:
     """Runs a sweep.
 
-    Returns 0 if all variants passed or all mutations were detected, otherwise 1.
+    Returns 0 if all variants passed or all mutations were detected, 130 if the sweep was
+    interrupted, otherwise 1.
     """
     from ...base.paths import find_scenario
     from .reports import report_of
@@ -173,10 +174,10 @@ def run(options: SweepOptions) -> int:
     if options.as_json:
         print_json({"scenario": sweep.base.name, "took": seconds, **report.as_json()})
     elif not options.quiet:
-        rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "no new ones"
-        known = f"; {before} from before" if before and new else ""
+        rate = f"{new} in {seconds:.1f} s, {new / seconds:.1f} per second" if new else "none new"
+        known = f"; {before} from earlier runs" if before and new else ""
         print(f"{sweep.base.name}: {len(table.rows)} variants ({rate}{known})")
-        report.tell()
+        report.show()
     if not is_whole:
         again = " --resume" if options.out else ""
         left = sum(number not in table.rows for number in wanted)

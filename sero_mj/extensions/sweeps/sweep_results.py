@@ -1,4 +1,4 @@
-"""Results of a sweep: `SweepTable`, a CSV file that is valid after every row; summary and plot."""
+"""Stores, summarizes and plots the results of a sweep."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ from .samples import Samples, Vary
 from .sweep import Sweep
 from .variant import UNITS
 
-_MAX_ROWS, _MAX_COLUMNS = 8, 5  # of the plot
-_LABEL_WIDTH = 22  # characters
+_MAX_ROWS, _MAX_COLUMNS = 8, 5  # maximum numbers of rows and columns of the plot
+_LABEL_WIDTH = 22  # width of labels, characters
 _HELD, _FAILED = "#2a7f62", "#c8553d"
 _BOUND: dict[str, Any] = {"color": "#777777", "lw": 0.9, "ls": "--"}
-# Units by the last name of a key, if unique.
+# Units by the last part of a key, if all keys with this last part have the same unit.
 _UNITS_OF_KEYS = {
     **dict.fromkeys(("begin", "end", "duration", "timestep", "delay", "after", "before"), "s"),
     "mass": "kg",
@@ -35,22 +35,23 @@ _UNITS_OF_KEYS = {
 
 
 class SweepTable:
-    """Stores the results of all variants in memory and, row by row, in a file.
+    """The results of all variants of a sweep, in memory and in a CSV file.
 
     OUT.csv.json contains the settings of the sweep. Rows are written immediately. When all variants
-    are done, the rows are sorted, so the file does not depend on the number of processes. Use it as
-    a context manager.
+    are done, the rows are sorted, so that the file does not depend on the number of processes. Use
+    the table as a context manager.
 
     Args:
-        path: output file; None for memory only.
-        resume: continue an existing file.
-        overwrite: replace an existing file.
+        path: output file; None to store the results in memory only.
+        resume: whether to continue an existing file.
+        overwrite: whether to replace an existing file.
 
     Attributes:
-        rows: variant number to cells by column; None for unknown values.
+        rows: cells by variant number and column; None for unknown values.
 
     Raises:
-        UsageError: the file exists without `resume` or `overwrite`, or belongs to another sweep.
+        UsageError: the file exists, and neither `resume` nor `overwrite` is set, or it belongs to
+            another sweep.
         CsvError: the file cannot be written, or is not a table of a sweep.
     """
 
@@ -135,20 +136,20 @@ class SweepTable:
             return {}
         if lines[0] != self._columns:
             found = f"found columns {','.join(lines[0])[:80]}"
-            raise CsvError(path, Problem("", found, expected="a sweep's"))
+            raise CsvError(path, Problem("", found, expected="the columns of this sweep"))
         for number, cells in enumerate(lines[1:], start=2):
             if len(cells) != len(self._columns) or not cells[0].isdecimal():
-                expected = f"a variant's number and {len(self._columns) - 1} more"
+                expected = f"the number of a variant and {len(self._columns) - 1} other entries"
                 problem = Problem(found=len(cells), of="entries", expected=expected)
                 raise CsvError(path, problem, line=number)
             variant = int(cells[0])
             if variant >= len(self._sweep.variants):
-                expected = f"below {len(self._sweep.variants)}"
+                expected = f"a number below {len(self._sweep.variants)}"
                 problem = Problem("", "found variant", found=variant, expected=expected)
                 raise CsvError(path, problem, line=number)
-            given = self._sweep.design.cells(variant)
+            own = self._sweep.design.cells(variant)
             row = dict(zip(self._columns, (_value(cell) for cell in cells), strict=True))
-            rows[variant] = {**row, "error": cells[self._columns.index("error")], **given}
+            rows[variant] = {**row, "error": cells[self._columns.index("error")], **own}
         return rows
 
     def add(self, number: int, result: Mapping[str, Any]) -> None:
@@ -172,7 +173,7 @@ class SweepTable:
         self._file = None
         if len(self.rows) < len(self._sweep.variants):
             return
-        # If this fails, the rows stay in another order.
+        # If this fails, the rows remain unsorted.
         with csv_table(self._path, "cannot be sorted") as table:
             table.writerow(self._columns)
             for number in sorted(self.rows):
@@ -239,8 +240,8 @@ class Outcomes:
 
     Attributes:
         name: name of the expectation, or for example `ROBOT.peak_torque_error`.
-        held: number of variants that passed; None without an expectation.
-        known: number of variants with a value.
+        held: number of variants that passed the expectation; None for other outcomes.
+        known: number of variants with a known value.
         lowest: lowest value, and number of the variant.
         highest: highest value, and number of the variant.
     """
@@ -270,7 +271,7 @@ class SweepSummary:
 
 
 def value_columns(columns: list[str]) -> dict[str, str]:
-    """Returns a mapping from names of numeric outcomes to columns."""
+    """Returns a mapping from the names of numeric outcomes to columns."""
     found = {}
     for column in columns[columns.index("held") + 3 :]:
         if column.startswith("expect."):
@@ -282,7 +283,7 @@ def value_columns(columns: list[str]) -> dict[str, str]:
 
 
 def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
-    """Returns a summary of rows, by number of the variant."""
+    """Returns the summary of a sweep from its rows, which are mapped from variant numbers."""
     outcomes = []
     for name, column in value_columns(columns).items():
         values = [
@@ -308,19 +309,20 @@ def is_known(row: Mapping[str, Any], column: str) -> bool:
 
 
 def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) -> None:
-    """Plots outcomes over values: green points passed, red points failed.
+    """Plots the outcomes of a sweep over the varied values.
 
-    Crosses at the lower edge are variants without a value. Values of robots are green if all
-    expectations of the variant passed. Dashed lines are expected bounds. At most eight outcomes
-    over five keys are plotted, expectations first.
+    Green points passed, and red points failed. Points of robots are green if all expectations of
+    the variant passed. Crosses at the lower edge are variants without a value. Dashed lines are
+    expected bounds. At most eight outcomes over five keys are plotted, expectations first.
 
     Args:
-        sweep: a sweep of samples.
-        path: output file, .png, .pdf or .svg.
+        sweep: sweep with the design `Samples`.
+        rows: cells by variant number and column.
+        path: output file: .png, .pdf or .svg.
 
     Raises:
         RenderError: the file cannot be written.
-        UsageError: another suffix, or matplotlib is not installed.
+        UsageError: the suffix is wrong, or matplotlib is not installed.
     """
     check_suffix(path)
     from matplotlib.figure import Figure  # without pyplot: no window, no global state

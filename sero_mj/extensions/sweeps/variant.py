@@ -20,17 +20,17 @@ from ...simulate.scenario import Scenario
 from ...simulate.scenario_file import read_scenario
 from ...simulate.simulation import Simulation
 
-# Values of every robot: of its worst joint, over the whole run.
+# Results per robot. Values are those of the worst joint over the whole run.
 PER_ROBOT = ("peak_torque_error", "rms_torque_error", "peak_torque_share", "findings")
 UNITS = {"peak_torque_error": "Nm", "rms_torque_error": "Nm", "peak_torque_share": "of the limit"}
 
 
 def outcome_columns(scenario: Scenario) -> list[str]:
-    """Returns the result columns of a variant.
+    """Returns the names of the result columns of a variant.
 
-    `held`: whether all expectations passed without an error. `error`: the error that stopped the
-    run. `ended`: simulated time in seconds. For every expectation, whether it passed and the found
-    value. For every robot, `PER_ROBOT`.
+    The columns are `held` (whether all expectations passed without an error), `error` (the error
+    that stopped the run), `ended` (simulated time, s), two columns for each expectation (whether it
+    passed, and its value), and `PER_ROBOT` for each robot.
     """
     columns = ["held", "error", "ended"]
     for name in scenario.expect:
@@ -41,19 +41,20 @@ def outcome_columns(scenario: Scenario) -> list[str]:
 
 
 def runs_alone(scenario: Scenario) -> bool:
-    """Whether a scenario has external controllers, such as programs.
+    """Whether a scenario has external controllers, so that its variants must run one by one.
 
-    In a batch, their programs would all run at the same time.
+    In a batch, the programs of all variants would run at the same time.
     """
     controllers = (as_controller(scenario.controller_of(name)) for name in scenario.scene.robots)
     return not all(each.may_be_probed for each in controllers)
 
 
 class VariantRunner:
-    """Runs variants of one scenario, together if they differ only in numbers.
+    """A `Runner` of variants of a scenario, which run together if they differ only in numbers.
 
     Args:
-        fixed: values by dotted key for all variants.
+        file: scenario file.
+        fixed: values for all variants by dotted key.
     """
 
     def __init__(self, file: Path, fixed: Mapping[str, Any]) -> None:
@@ -61,7 +62,7 @@ class VariantRunner:
         self._compiler = Compiler()
 
     def run(self, variants: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        """Runs variants with these values; returns outcomes, with `error` if a run failed."""
+        """Runs one variant per mapping of values; returns results, with `error` after a failure."""
         found = [{"held": False, "error": "", "ended": 0.0} for _ in variants]
         batches: dict[object, list[tuple[Scenario, dict[str, Any]]]] = {}
         for values, result in zip(variants, found, strict=True):
@@ -104,7 +105,7 @@ def _error_in(found: dict[str, Any]) -> Iterator[None]:
     try:
         yield
     except DeclarationError as error:
-        # Without file and line, which are the same in all variants.
+        # File and line are omitted, because they are the same in all variants.
         found["error"] = "; ".join(
             ": ".join(filter(None, (problem.key, problem.message))) for problem in error.problems
         )
@@ -131,9 +132,8 @@ def _judge(simulation: Simulation, scenario: Scenario, found: dict[str, Any]) ->
 
 
 def _of_robot(log: RunLog, robot: str, findings: int) -> dict[str, Any]:
-    rows = slice(
-        1 if len(log.times) > 1 else 0, None
-    )  # nothing was commanded before the first step
+    # Nothing was commanded before the first step.
+    rows = slice(1 if len(log.times) > 1 else 0, None)
     error = log.torque_error(robot)[rows]
     share = np.abs(log.of(robot, "commanded_torques")[rows]) / log.torque_limits(robot)
     values = (

@@ -1,4 +1,4 @@
-"""`Variants`: the job of a sweep.
+"""The job of a sweep.
 
 This file imports little, because every new process imports it.
 """
@@ -18,9 +18,9 @@ class Variants:
     """A `Job` in which every task runs a scenario with other values.
 
     Attributes:
-        file: the scenario file.
-        fixed: values by dotted key for all variants.
-        choices: keys and values of tasks that may name additional files.
+        file: scenario file.
+        fixed: values for all variants by dotted key.
+        choices: values of some variants by dotted key, which may name additional files.
     """
 
     file: Path

@@ -1,4 +1,4 @@
-"""The joints of a scene's robots in a table, and scenes that a table moves."""
+"""Finds the joints of a scene's robots in a table, and replaces the sources of a scene by it."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _BY_OPTION = '--columns "SIGNAL=COLUMNS"'
 def robots_in(
     table: Table, robots: Mapping[str, SerialRobot], columns: Columns
 ) -> dict[str, dict[str, Array]]:
-    """Returns the joint signals, (T, n), of each robot with joint angles in a table.
+    """Returns the joint signals, shape (T, n), of each robot whose joint angles are in a table.
 
     Raises CsvError or UsageError.
 
@@ -76,7 +76,8 @@ def move_by_table(
 
     Args:
         columns: declared columns; see `robots_in`.
-        start: start time, s after the first row.
+        start: start time relative to the first row, s; None for the first row.
+        source: source whose packets can be in the table; None for any source.
     """
     table = read_cached(file, columns)
     declared: dict[str, Any] = {"kind": "table", "file": str(file)}

@@ -1,4 +1,4 @@
-"""`TableReader`: reads tables for `sero-mj` commands."""
+"""Reads tables for `sero-mj` commands."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .table import read_cached, read_csv, read_table
 
 
 class TableReader(Tables):
-    """The commands' access to tables."""
+    """The reader of tables for commands."""
 
     def move_scene(
         self, scene: Scene, file: Path, columns: Columns, start: float | None, source: str | None

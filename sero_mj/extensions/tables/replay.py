@@ -1,4 +1,4 @@
-"""`TableReplay`: a source that plays a table of numbers, with a packet for each row."""
+"""A source that plays a table of numbers, with a packet for each row."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .signals import signals_of, wrong_columns
 from .table import Table, read_cached
 
 SOURCE = "table"
-_LAST_DATE = 2.5e11  # s, in the last year that `datetime` supports
+_LAST_DATE = 2.5e11  # time in the last year that `datetime` supports, s
 _EPOCH = datetime.fromtimestamp(0.0, UTC)
 
 
@@ -31,7 +31,7 @@ class TableFile(PacketFile):
     """The rows of a table as packets. Times are relative to the first row.
 
     Args:
-        events: event name to its values, (T, ...). Other events of the structure are zero, or
+        events: values of events by name, shape (T, ...). Other events of the structure are zero, or
             identity matrices.
         declared: fields of a source of kind `udp` that decodes the packets.
     """
@@ -44,7 +44,7 @@ class TableFile(PacketFile):
         declared: Mapping[str, Any],
     ) -> None:
         self.path, self.about, self.lost, self.faults = table.path, {}, {}, []
-        first = float(table.times[0])  # s since 1970, or since another time
+        first = float(table.times[0])  # time since 1970 or another date, s
         self.start = datetime.fromtimestamp(first, UTC) if 0 <= first < _LAST_DATE else _EPOCH
         self._times = table.times - first
         self.duration = float(self._times[-1])
@@ -96,12 +96,12 @@ class TableFile(PacketFile):
 
 
 def has_numbers(table: Table, events: Mapping[str, tuple[int, ...]]) -> bool:
-    """Returns whether any column has the name of a number of an event, such as `joints[0]`."""
+    """Whether a column of a table is named after a number of an event, such as `joints[0]`."""
     return not set(table.columns).isdisjoint(column_names(events))
 
 
 def events_of(table: Table, structure: Structure) -> dict[str, Array]:
-    """Returns the values, (T, ...), of the events of packets in a table; raises CsvError.
+    """Returns the values of the events of packets in a table, shape (T, ...); raises CsvError.
 
     Columns have the names that `export` writes, such as `joints[0]`. All columns of an event may be
     missing. If no column has such a name, the table must have all numbers of the packets, in order.
@@ -138,15 +138,15 @@ _PACKETS = ("structure", "is_double", "column_major", "alignment", "scale")
 
 
 class TableReplay(FileSource):
-    """Plays a table of numbers; see `read_table` for its format.
+    """A source that plays a table of numbers in the format of `read_table`.
 
-    Its events are joint signals of a robot (`joint_angles`, `torques`, ...), in columns that are
-    recognized or declared. If `structure` is set, they are the events of packets.
+    Its events are joint signals of a robot such as `joint_angles`, in columns that are recognized
+    or declared. If `structure` is set, they are the events of packets.
 
     Attributes:
-        columns: signal to the names of its columns: a pattern such as `"q_*"`, a list, or
+        columns: names of the columns of each signal: a pattern such as `"q_*"`, a list, or
             `time = "stamp"`. A unit can follow the signal in brackets: `"joint_angles [deg]"`.
-        robot: name of the robot with which names of columns can begin.
+        robot: robot name with which the names of columns can begin.
         structure: structure of packets whose numbers are in the table; `export` writes such tables.
         rate: rows per second, for a table without a time column.
     """
@@ -157,7 +157,8 @@ class TableReplay(FileSource):
     rate: float | None = Field(None, gt=0, le=1e6)
 
     _structure_is: ClassVar[str] = ""
-    _joints: list[str] = PrivateAttr(default_factory=list)  # of the robot that the table moves
+    # Joint names of the robot that the table moves.
+    _joints: list[str] = PrivateAttr(default_factory=list)
 
     @field_validator("structure")
     @classmethod

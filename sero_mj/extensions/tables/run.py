@@ -29,8 +29,8 @@ from .joints import robots_in
 from .table import Table, read_cached
 
 _COLUMN = re.compile(r"(\w+)\[(.+)\]")
-_SHOWN = 4  # columns in an error
-_LOGGED = {"commanded_angles": "target_angles"}  # signal to its name in runs, if it differs
+_SHOWN = 4  # maximum number of columns in an error
+_LOGGED = {"commanded_angles": "target_angles"}  # names of signals in runs, if they differ
 
 
 def read_run_table(
@@ -47,8 +47,8 @@ def read_run_table(
         scene: scene with the robots, and with routes from packets to them.
         source: source in the scene whose packets are in the table; None for the only source with
             such columns.
-        columns: declared columns of joint signals; see `robots_in`. If declared, times are relative
-            to the first row.
+        columns: declared columns of joint signals; see `robots_in`. If columns are declared, times
+            are relative to the first row.
     """
     path = Path(path)
     if source is not None and source not in scene.sources:
@@ -104,7 +104,7 @@ def _run_of_joints(table: Table, scene: Scene, columns: Columns, expected: str) 
 
 
 def _expected_columns(table: Table, scene: Scene, sources: Mapping[str, Source]) -> str:
-    # The missing columns of a source of which at least half of the columns exist.
+    # Returns the missing columns of a source of which more than half of the columns exist.
     for name, source in sources.items():
         names = column_names(source.events)
         missing = [each for each in names if each not in table.columns]
@@ -119,17 +119,17 @@ def run_of_columns(
 ) -> RunLog | None:
     """Returns the run in columns such as `lwr_torques[0]`; None if there are no such columns.
 
-    Joints are names, or numbers from 0. Columns with joint names need no robot name
-    (`torques[elbow]`); `export` writes such tables for ROS messages.
+    Brackets contain the name of a joint, or its number from 0. Columns with joint names need no
+    robot name (`torques[elbow]`). `export` writes such tables for ROS messages.
 
     Args:
-        times: times of the rows, (T,), s. The column `time[0]`, the simulation time in exported
-            recordings of simulations, takes precedence.
-        columns: name to values, (T,).
+        times: times of the rows, shape (T,), s. The column `time[0]`, the simulation time in
+            exported recordings of simulations, takes precedence.
+        columns: values of columns by name, shape (T,).
         robots: robots by name.
 
     Returns:
-        signals that have a column for each joint, of the robots that have any.
+        A run with the signals that have a column for each joint, and the robots with such signals.
     """
     found: dict[str, dict[str, Array]] = {}
     for name, values in columns.items():
@@ -157,7 +157,7 @@ def run_of_columns(
 
 
 def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> list[str]:
-    # The labels of all joints of a robot, in order, or [] if any is missing.
+    # Returns the labels of all joints of a robot, in order, or [] if a label is missing.
     prefix = prefix_before(robot.names, [*labels])
     named, numbers = [prefix + name for name in robot.names], [*map(str, range(robot.n))]
     if set(labels).issuperset(named):
@@ -168,7 +168,7 @@ def _labels(robot: SerialRobot, labels: Collection[str], *, numbered: bool) -> l
 def columns_of_events(
     columns: Mapping[str, Array], events: Mapping[str, tuple[int, ...]]
 ) -> dict[str, Array]:
-    """Returns a source's events in a table, (T, count); {} if a column of any event is missing."""
+    """Returns the events of a source in a table, shape (T, count), or {} if a column is missing."""
     names = {event: column_names({event: shape}) for event, shape in events.items()}
     if not all(name in columns for each in names.values() for name in each):
         return {}

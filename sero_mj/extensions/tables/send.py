@@ -1,4 +1,4 @@
-"""Packets of the rows of a table, for `send`."""
+"""Converts the rows of a table to packets, for `send`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ from .table import Table, read_table
 
 
 class TablePackets(Playback):
-    """The rows of a table with the numbers of packets; see `events_of`. Raises CsvError.
+    """A playback of a table with the numbers of packets, in columns as in `events_of`.
+
+    Raises CsvError.
 
     Args:
         rate: rows per second; replaces the time column.
@@ -41,12 +43,12 @@ class TablePackets(Playback):
 
 
 class JointRows(Playback):
-    """The rows of a table with joint signals, converted to packets by inverting a scene's routes.
+    """A playback of a table with joint signals, which are converted to packets by inverse routes.
 
     Args:
         columns: declared columns; see `robots_in`.
         source: source whose packets are created; None for the only source of the scene.
-        structure: structure that replaces the declared one of the source.
+        structure: structure of the packets; None for the declared structure of the source.
 
     Raises:
         CsvError: no robot has columns, or a column is missing or has text.

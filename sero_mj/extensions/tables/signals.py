@@ -27,7 +27,7 @@ from ...data.record.csv_files import TIME, Columns
 from ...simulate.runs.tables import ColumnNames
 from .table import Table, split_unit
 
-# Signal to names of its columns, in lower case, without number, joint name and unit. The first name
+# Names of columns by signal, in lower case, without number, joint name and unit. The first name
 # takes precedence. `position` and `effort` are from ROS.
 _NAMES: Mapping[str, tuple[str, ...]] = {
     "joint_angles": (
@@ -61,7 +61,7 @@ _NUMBER = re.compile(r"\d+(?!.*\d)")
 _SUFFIX = re.compile(r"_(rad|deg|nm)$", re.IGNORECASE)
 _BETWEEN = "[]()._/ "  # characters between the number and the rest of a name
 _SIGNAL = re.compile(r"([A-Za-z_]\w*)(?:\s*\[\s*(.+?)\s*\])?")
-_MANY = 8  # columns in a message
+_MANY = 8  # maximum number of columns in a message
 
 log = logging.getLogger(__name__)
 
@@ -79,7 +79,7 @@ def _known_names() -> ColumnNames:
 
 @dataclass(frozen=True)
 class Selection:
-    """The columns of a signal, and the factor to SI units and our sign convention."""
+    """The columns of a signal, and the factor to SI units and the usual sign convention."""
 
     names: tuple[str, ...]
     factor: float = 1.0
@@ -103,7 +103,7 @@ def signals_of(
     robot: str = "",
     counts: Sequence[int] = (),
 ) -> dict[str, Array]:
-    """Returns the signals of a robot's joints in a table; raises CsvError or DeclarationError.
+    """Returns the joint signals of a robot in a table; raises CsvError or DeclarationError.
 
     Args:
         table: table of one robot, or of several robots whose names precede the column names.
@@ -114,8 +114,9 @@ def signals_of(
         counts: allowed numbers of columns of a signal; empty for any.
 
     Returns:
-        `joint_angles`, `torques`, ... to values (T, number of columns), in SI units and our sign
-        convention. If the table has no measured torques, `torques` are the commanded torques.
+        Values of signals such as `joint_angles` by name, shape (T, number of columns), in SI units
+        and the usual sign convention. If the table has no measured torques, `torques` are the
+        commanded torques.
     """
     names = [*table.columns]
     chosen = _recognised(names, joints, robot, counts) | _declared(table, columns or {})
@@ -138,7 +139,7 @@ def wrong_columns(table: Table, count: int = 0, how: str = "") -> CsvError:
     """Returns the error for a table in which no columns, or too few or many, are joint angles.
 
     Args:
-        count: number of the robot's joints; 0 if unknown.
+        count: number of joints of the robot; 0 if unknown.
         how: option that declares columns, such as `--columns "SIGNAL=COLUMNS"`.
     """
     names = [*table.columns]

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 _COMMENT = "#"
 _WESTERN = "cp1252"  # for example, for degree signs written by Windows programs
 _SEPARATORS = (";", "\t", ",", " ")  # in the order in which they are tried
-_SHOWN = 20  # column names in an error
-_HEAD = 200  # lines that are searched for the first two rows
+_SHOWN = 20  # maximum number of column names in an error
+_HEAD = 200  # maximum number of lines that are searched for the first two rows
 _TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "µs": 1e-6, "μs": 1e-6, "ns": 1e-9}
-# Units that can follow the name of a column in brackets. Other text in brackets is part of it.
+# Units that can follow the name of a column in brackets. Other text in brackets is kept.
 _UNITS = frozenset(
     [*_TIME_UNITS, "rad", "mrad", "deg", "degree", "degrees", "°", "m", "mm", "rad/s", "deg/s",
      "°/s", "m/s", "mm/s", "Nm", "mNm", "N", "A", "mA", "V", "C", "°C", "Hz", "%"]
@@ -67,9 +67,9 @@ class Table:
 
     Attributes:
         time: name of the time column; empty if a rate is declared.
-        times: non-decreasing times of the rows, s, (T,); absolute times are relative to 1970.
-        columns: name to values, (T,), of the other columns. Empty cells and text are NaN.
-        wrong: name of a column with text to the error of its first cell with text.
+        times: non-decreasing times of the rows, shape (T,), s; absolute times are relative to 1970.
+        columns: values of the other columns by name, shape (T,). Empty cells and text are NaN.
+        wrong: error of the first cell with text of each column that has text, by column name.
     """
 
     path: Path
@@ -79,7 +79,10 @@ class Table:
     wrong: dict[str, CsvError]
 
     def column(self, name: str) -> Array:
-        """Returns the values of a column, (T,); raises CsvError if it is missing or has text."""
+        """Returns the values of a column, shape (T,).
+
+        Raises CsvError if the column is missing or has text.
+        """
         if name in self.wrong:
             raise self.wrong[name]
         if name not in self.columns:
@@ -91,10 +94,10 @@ class Table:
 def read_csv(
     path: Path | str, *, rate: float | None = None, instead: str = ""
 ) -> tuple[Array, dict[str, Array]]:
-    """Reads a table in which every cell is a number or empty; see `read_table`.
+    """Reads a table like `read_table`, but raises CsvError for cells with text.
 
     Returns:
-        the times of the rows, s, (T,), and the columns by name, (T,).
+        Times of the rows, shape (T,), s, and values of the columns by name, shape (T,).
     """
     table = read_table(path, rate=rate, instead=instead)
     if table.wrong:
@@ -108,8 +111,8 @@ def read_table(
     """Reads a table with cells separated by semicolons, tabs, commas or spaces.
 
     - The first line can have the names of the columns, also after `#`, as written by NumPy.
-      Without names, columns are called `1`, `2`, ... `.1` is appended to a repeated name, as in
-      pandas.
+      Without names, columns are called `1`, `2` and so on. `.1` is appended to a repeated name, as
+      in pandas.
     - If only the first column has no name, it is an index, as in pandas, and is skipped.
     - Empty lines, and comments that begin with `#`, are skipped.
     - Decimal commas are read if commas do not separate cells.
@@ -146,7 +149,7 @@ def read_table(
 def read_cached(
     path: Path, columns: Columns, rate: float | None = None, instead: str = ""
 ) -> Table:
-    """Calls `read_table` with the entry `time` of `columns`; caches the table until it changes."""
+    """Reads a table with the time column in `columns`; caches it until the file changes."""
     time = columns.get(TIME, "")
     time = time if isinstance(time, str) else time[0]
     try:
@@ -163,7 +166,7 @@ def _cached(path: Path, _: tuple[Any, ...], rate: float | None, time: str, inste
 
 
 class _Rows:
-    """Reads the rows of one table; see `read_table`."""
+    """The reader of the rows of one table for `read_table`."""
 
     def __init__(self, path: Path, rate: float | None, time: str, instead: str) -> None:
         self._path, self._rate, self._wanted, self._instead = path, rate, time, instead
@@ -298,7 +301,7 @@ def _time_unit(name: str) -> tuple[str, str | None]:
 
 
 def _factor_of(names: Sequence[str], time: str) -> float:
-    # NaN if the magnitude of the first time determines the factor.
+    # Returns NaN if the magnitude of the first time determines the factor.
     if names[1:2] and names[1] in _LIBFRANKA and time == names[0]:
         return 1e-3
     unit = _time_unit(time)[1]
@@ -306,8 +309,8 @@ def _factor_of(names: Sequence[str], time: str) -> float:
 
 
 def _reader(lines: Iterator[str]) -> tuple[Reader, _Number]:
-    # The separator is the first one with which all cells of the second row are numbers. If there is
-    # none, it is the first one with which the first two rows have the same number of cells.
+    # The separator is the first one with which all cells of the second row are numbers. Otherwise,
+    # it is the first one with which the first two rows have the same number of cells.
     head: list[str] = []
     rows: list[str] = []
     for line in itertools.islice(lines, _HEAD):

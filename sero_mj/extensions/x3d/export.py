@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from ...robots.declared.robot_parts import LinkGeometry
     from ...robots.declared.scene import Scene
 
-# Robot fields whose values are converted when a robot is created.
+# The values of these robot fields were converted when the robot was created.
 _OTHER_FORMS = ("name", "dh_params", "dh_columns", "length_unit")
-_CREASE = 0.7  # rad; sharper edges are not smoothed, as in MuJoCo
-_UPRIGHT = frame(rotation_about(0, np.pi / 2))  # from z, the cylinder axis of MuJoCo, to y
+_CREASE = 0.7  # angle in rad above which edges are not smoothed, as in MuJoCo
+_UPRIGHT = frame(rotation_about(0, np.pi / 2))  # Cylinder axes are z in MuJoCo and y in X3D.
 Geom = mujoco.mjtGeom
 
 
 def write_toml(options: ExportOptions) -> int:
-    """Writes an X3D scene as TOML, and returns the exit code."""
+    """Writes an X3D scene as TOML. Returns the exit code."""
     return _write(options, to_x3d=False)
 
 
 def write_x3d(options: ExportOptions) -> int:
-    """Writes a scene as X3D, and the links as VRML97 files in OUT_links/ROBOT."""
+    """Writes a scene as X3D, and links as VRML97 in OUTPUT_links/ROBOT. Returns the exit code."""
     return _write(options, to_x3d=True)
 
 
@@ -48,7 +48,7 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
     output = options.path
     if to_x3d == (Path(options.scene).suffix.lower() in X3d.endings):
         both = "X3D" if to_x3d else "TOML"
-        message = f"both are {both}; expected one X3D file and one TOML file"
+        message = f"both files are {both}; expected one X3D file and one TOML file"
         raise UsageError(f"{options.scene} and {output}: {message}")
     files: dict[Path, str] = {}
     if to_x3d:
@@ -64,7 +64,7 @@ def _write(options: ExportOptions, *, to_x3d: bool) -> int:
                 path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(contents, encoding="utf-8")
     if lost:
-        line = f"sero-mj: left out, because X3D cannot express it: {', '.join(lost)}"
+        line = f"sero-mj: X3D cannot express these parts of the scene: {', '.join(lost)}"
         print(fill(line, 100, subsequent_indent="  ", break_on_hyphens=False), file=sys.stderr)
     print(output)
     return 0
@@ -74,7 +74,7 @@ def _as_toml(name: str, output: Path) -> str:
     from ...robots.importers.toml_text import toml_text
     from .reader import read_x3d
 
-    read_scene(name)  # reports all errors, including those of robots and sources
+    read_scene(name)  # This reports all errors, including those of robots and sources.
     described = read_x3d(Path(name))
     for robot in described.tables.get("robots", {}).values():
         if robot.get("directory"):
@@ -89,24 +89,24 @@ def _as_toml(name: str, output: Path) -> str:
 def _relative(folder: Path, output: Path) -> str:
     try:
         return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
-    except ValueError:  # on another drive
+    except ValueError:  # The folder is on another drive.
         return folder.absolute().as_posix()
 
 
 def _as_x3d(name: str, output: Path, files: dict[Path, str]) -> tuple[str, list[str]]:
     text, lost = x3d_text(scene_tables(read_scene(name), output, files))
     if "SerialRobot {" not in text and "Shape {" not in text:
-        raise UsageError(
-            f"{name}: X3D cannot express any part of the scene; left out: {', '.join(lost)}"
-        )
+        raise UsageError(f"{name}: X3D cannot express any part of the scene: {', '.join(lost)}")
     return text, lost
 
 
 def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns the tables of a scene file with robot fields instead of `model`.
+    """Returns the tables of a scene file. Robots have fields of `SerialRobot` instead of `model`.
 
-    Folder names are relative to the folder of `output`. The contents of link files are added to
-    `files`.
+    Args:
+        scene: scene to convert.
+        output: path of the X3D file. Folder names in the tables are relative to its folder.
+        files: mapping from paths to contents, to which the files of links are added.
     """
     from ...data.drive.wiring import wire
 
@@ -135,7 +135,7 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
-    """Returns the robot fields that differ from their defaults, see `scene_tables`."""
+    """Returns the table of a robot for `scene_tables`, without fields that have default values."""
     table = _changed(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
@@ -159,7 +159,7 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
         table["filenames"] = [*texts]
         table["directory"] = _relative(folder, output)
     else:
-        table["filenames"] = []  # the meshes are in other frames; the writer reports them
+        table["filenames"] = []  # The meshes have other frames, and the writer reports them.
     return table
 
 
@@ -189,7 +189,7 @@ def _plain(value: Any) -> Any:
 
 
 def link_files(robot: SerialRobot) -> dict[str, str]:
-    """Returns a mapping from file names to contents of the files of the base and all links."""
+    """Returns the VRML97 files of the base and all links, as a mapping from names to contents."""
     root, problems = mujoco.MjSpec(), list[Problem]()
     links = drawn_geoms(root, robot, problems)
     raise_any(problems)

@@ -11,7 +11,7 @@ from ...robots.importers.importer import Importer
 
 
 class X3d(Importer):
-    """Scenes in X3D's classic encoding or in VRML97."""
+    """Importer of scenes in X3D's classic encoding or in VRML97."""
 
     endings: ClassVar[tuple[str, ...]] = (".x3d", ".x3dv", ".wrl")
     is_scene: ClassVar[bool] = True

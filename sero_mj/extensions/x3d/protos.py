@@ -8,7 +8,7 @@ from .vrml_nodes import Node
 
 OWN_NODES = ("SerialRobot", "UdpReceiver", "ShmReader")
 PAPER_CONVENTION = "craig"
-# Type and scene file key of each field of the paper's protos.
+# For each field of the paper's protos: X3D type and key in scene files.
 ROBOT_FIELDS = {
     "dhParams": ("MFVec4f", "dh_params"),
     "directory": ("SFString", "directory"),
@@ -37,14 +37,14 @@ UDP_FIELDS = {
     "scale": ("SFFloat", "scale"),
     "debuglevel": ("SFInt32", "debug_level"),
 }
-# The paper lists no fields of `ShmReader`. Here it has those of `UdpReceiver`, and our own.
+# The paper lists no fields of `ShmReader`. In sero-mj, it has fields of `UdpReceiver` and others.
 SHM_FIELDS = {
     **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
     "block": ("SFString", "block"),
     "lock": ("SFString", "lock"),
     "offset": ("SFInt32", "offset"),
 }
-# Additional fields, whose names are keys of scene files in camel case.
+# Fields that sero-mj adds have the keys of scene files in camel case.
 MORE_ROBOT_FIELDS = {
     "dhConvention": ("SFString", "dh_convention"),
     "jointNames": ("MFString", "joint_names"),
@@ -65,7 +65,7 @@ MORE_UDP_FIELDS = {
     "interface": ("SFString", "interface"),
     "sender": ("MFString", "sender"),
 }
-# Inputs and outputs of a robot in ROUTEs.
+# ROUTEs can have these inputs and outputs of a robot.
 ROBOT_INPUTS = {
     "jointAngles": "joint_angles",
     "torques": "torques",
@@ -83,7 +83,7 @@ SOURCE_EVENTS = {"receiving": "receiving", "receiveTrigger": "receive_trigger"}
 def own_kind(node: Node) -> str:
     """Returns the name of the paper's proto that a node instantiates, or an empty string.
 
-    An EXTERNPROTO may have a different name than the PROTO at its URL, so both names are compared.
+    An EXTERNPROTO may have another name than the PROTO at its URL, so both names are compared.
     """
     if node.kind in OWN_NODES:
         return node.kind

@@ -1,8 +1,8 @@
-"""Reads a scene in X3D's classic encoding, like the paper's Fig. 7, as tables of a scene file.
+"""Converts a scene in X3D's classic encoding, like the paper's Fig. 7, to tables of a scene file.
 
 The nodes `SerialRobot`, `UdpReceiver` and `ShmReader` are the paper's protos (Fig. 3 and 5). Rows
-of `dhParams` are alpha, a, theta, d by Craig's convention in rad and m. Matrices have their
-translation in the fourth row, as required by X3D (ISO/IEC 19775-1, 5.3).
+of `dhParams` are alpha, a, theta and d by Craig's convention, in rad and m. The translation of a
+matrix is in the fourth row, as required by X3D (ISO/IEC 19775-1, 5.3).
 """
 
 from __future__ import annotations
@@ -38,19 +38,22 @@ from .vrml_nodes import Document, FieldValue, Node, Problems, RouteStatement, ge
 from .wrl import VisitedNode, kind_of, matrix, transform_of, visit
 
 _MAX_DEBUG_LEVEL = 3
-_MAX_TRIANGLES = 500_000  # maximum for all shapes of a scene, without robots
+_MAX_TRIANGLES = 500_000  # maximum number of triangles of a scene, without robots
 _MISSING = "no such file"
-Z_IS_UP = "z is up"  # stored in the WorldInfo of scenes that sero-mj writes
-# Rotates y to z; y is up in X3D.
+Z_IS_UP = "z is up"  # text in the WorldInfo of scenes that sero-mj writes
+# This matrix rotates y, which is up in X3D, to z.
 _UPRIGHT = np.diag([1.0, 1.0, 1.0, 1.0])
 _UPRIGHT[:3, :3] = rotation_about(0, np.pi / 2).round(12)
 
 
 def read_x3d(path: Path) -> ImportedTables:
-    """Reads a scene in X3D's classic encoding, or in VRML97.
+    """Reads a scene in X3D's classic encoding or in VRML97.
 
     Warnings list ignored nodes and missing geometry files of robots. Links without a file are
-    generated from the DH table. Raises DeclarationError with all errors and their lines.
+    generated from the DH table.
+
+    Raises:
+        DeclarationError: the scene has errors. The message lists all errors and their lines.
     """
     return _X3dReader(read_document(path)).described()
 
@@ -62,8 +65,8 @@ class _X3dReader:
         self.lines: dict[str, int] = {}
         self.warnings: list[str] = []
         self.not_shown: dict[str, int] = {}
-        self.left_out: list[str] = []  # ROUTEs
-        self.names: dict[int, str] = {}  # maps ids of nodes to unique names
+        self.left_out: list[str] = []  # ROUTEs that are ignored
+        self.names: dict[int, str] = {}  # mapping from ids of nodes to unique names
         self.placed: dict[int, Array] = {}  # frames of robots, sources and shapes
         self.waiting: list[VisitedNode] = []  # groups that a ROUTE moves
         self.fixed: set[int] = set()  # groups that became children of a robot
@@ -74,10 +77,10 @@ class _X3dReader:
         self.cameras: dict[str, dict[str, Any]] = {}
         self.lights: dict[str, dict[str, Any]] = {}
         self.routes: dict[str, str] = {}
-        self.missing: dict[str, str] = {}  # missing files of robots
+        self.missing: dict[str, str] = {}  # mapping from names of robots to missing files
         self.description = ""
         self.triangles = 0
-        # Groups that a ROUTE moves are read after static ones.
+        # Groups that a ROUTE moves are read after static groups.
         self.moved = {
             id(node)
             for route in document.routes
@@ -87,7 +90,7 @@ class _X3dReader:
 
     def described(self) -> ImportedTables:
         seen = self._visit(self.document.nodes)
-        for each in seen:  # first, because other names must differ from these
+        for each in seen:  # Other names must differ from these names.
             if each.node.name:
                 self._name(each.node)
         turn = self._turn(seen)
@@ -136,10 +139,10 @@ class _X3dReader:
         return name
 
     def _turn(self, seen: list[VisitedNode]) -> Array:
-        """Returns the rotation that makes z point up; identity if the direction is unclear.
+        """Returns the rotation from y up to z up, or the identity if y is not up.
 
-        In X3D y is up, but in the paper's scenes z is up. The first viewpoint decides, or the bases
-        of the robots if there is no viewpoint.
+        In X3D, y is up, but z is up in the paper's scenes. The first viewpoint shows which axis is
+        up. If there is no viewpoint, the bases of the robots show it.
         """
         infos = [each.node for each in seen if each.node.kind == "WorldInfo"]
         if any(Z_IS_UP in get(info, "info", "MFString", [], self.problems) for info in infos):
@@ -157,7 +160,7 @@ class _X3dReader:
             ]
         if not ups or not all(abs(up[1]) > 0.9 * np.linalg.norm(up) for up in ups):
             return np.eye(4)
-        self.warnings.append("y is up in this scene; it is rotated so that z is up")
+        self.warnings.append("y is up in this scene, so the scene is rotated to make z point up")
         return _UPRIGHT
 
     def _take(self, seen: VisitedNode) -> None:
@@ -187,7 +190,7 @@ class _X3dReader:
     def _robot(self, seen: VisitedNode, mount: str | None = None) -> None:
         node = seen.node
         if id(node) in self.placed:
-            message = "is used twice; expected a second robot instead of USE"
+            message = "is used twice; expected a second SerialRobot node instead of USE"
             self.problems.add(node.label, message, node.line)
             return
         label = get(node, "name", "SFString", "", self.problems)
@@ -205,7 +208,7 @@ class _X3dReader:
         found = self._fields(node, fields, place, ("name", "children", "metadata"), events)
         table["dh_convention"] = found.pop("dh_convention", PAPER_CONVENTION)
         rows = len(found.get("dh_params", [[]]))
-        for key in ("joint_angles", "offsets_to_center_of_joints"):  # defaults of the proto
+        for key in ("joint_angles", "offsets_to_center_of_joints"):  # The proto has such defaults.
             if key in found and rows != 1 and len(found[key]) == 1 and not np.any(found[key]):
                 del found[key]
         for key, field in (("base_frame", "baseFrame"), ("flange_frame", "flangeFrame")):
@@ -323,7 +326,7 @@ class _X3dReader:
             numbers = read_field(value, "SFMatrix4f")
             T, other = matrix(numbers), matrix(numbers).T
             if T[3, :3].any() and not other[3, :3].any():
-                # Written in row-major order, as in mathematics.
+                # The matrix is in row-major order, as in mathematics.
                 self.warnings.append(
                     f"{node.label}.{name} (line {value.line}) has the translation in the fourth "
                     "column instead of the fourth row, and is transposed"
@@ -333,7 +336,7 @@ class _X3dReader:
                 return frame_from(T, np.asarray)
             except ValueError:
                 found = " ".join(f"{number:g}" for number in numbers)
-                message = "expected a rotation, and the translation and 1 in the fourth row"
+                message = "expected a rotation matrix, with translation and 1 in the fourth row"
                 raise ValueError(f"found {found}; {message}") from None
         return np.eye(4)
 
@@ -371,7 +374,7 @@ class _X3dReader:
         table = light_table(seen, self.problems)
         if table is not None:
             name = self._name(seen.node, "light")
-            # Each shadow needs a separate rendering pass.
+            # Only the first light has a shadow, because each shadow needs a rendering pass.
             self.lights[name] = {**table, "cast_shadow": False} if self.lights else table
             self.lines[f"lights.{name}"] = seen.node.line
 
@@ -380,8 +383,8 @@ class _X3dReader:
     def _take_group(self, seen: VisitedNode) -> None:
         """Reads the contents of a group that a ROUTE moves.
 
-        If the pose is routed from a flange (section 3.1 of the paper), the contents become children
-        of the robot. Otherwise they are fixed at their declared pose.
+        If the ROUTE comes from a robot's flange (section 3.1 of the paper), the contents become
+        children of the robot. Otherwise, they are fixed at their declared pose.
         """
         group = seen.node
         inside = self._visit(get(group, "children", "MFNode", [], self.problems))
@@ -412,7 +415,7 @@ class _X3dReader:
         return "mount" not in table and np.allclose(base, T, rtol=0, atol=1e-9)
 
     def _ends(self, route: RouteStatement) -> tuple[str, str, str] | None:
-        """Returns the source, target robot and text of a ROUTE, or None if it is left out."""
+        """Returns the source, target robot and text of a ROUTE, or None if it is ignored."""
         names, line = self.document.names, route.line
         text = f"{route.origin}.{route.event} TO {route.target}.{route.input}"
         for name in (route.origin, route.target):
@@ -446,7 +449,7 @@ class _X3dReader:
         field, line = route.input.removeprefix("set_"), route.line
         target = self.document.names[route.target]
         if field in ("flangeFrame", "axesTransparency", "enableTouchSensor", "children"):
-            self._leave_out(text, line)  # the paper allows ROUTEs to change these fields
+            self._leave_out(text, line)  # The paper allows such ROUTEs, but scene files do not.
         elif field not in ROBOT_INPUTS:
             message = f"no input '{field}'{did_you_mean(field, ROBOT_INPUTS)}"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -459,7 +462,7 @@ class _X3dReader:
         elif field == "baseFrame" and (
             is_turned or not np.array_equal(self.placed[id(target)], np.eye(4))
         ):
-            self._leave_out(text, line)  # frames in routes are relative to the world
+            self._leave_out(text, line)  # In scene files, routed frames are relative to the world.
         elif (key := f"{robot}.{ROBOT_INPUTS[field]}") in self.routes:
             message = f"a ROUTE from {self.routes[key]} has the same target; expected one ROUTE"
             self.problems.add(f"ROUTE {text}", message, line)
@@ -478,9 +481,9 @@ class _X3dReader:
             )
         if self.not_shown:
             shown = (f"{kind} (line {line})" for kind, line in self.not_shown.items())
-            self.warnings.append(f"nodes that are not shown: {', '.join(shown)}")
+            self.warnings.append(f"these nodes are not shown: {', '.join(shown)}")
         if self.left_out:
-            self.warnings.append(f"routes that are left out: {', '.join(self.left_out)}")
+            self.warnings.append(f"these routes are ignored: {', '.join(self.left_out)}")
 
 
 def _why_not(file: Path) -> str:
@@ -503,4 +506,4 @@ def _rigid(T: Array) -> Array:
     try:
         return frame_from(T, np.asarray)
     except ValueError:
-        raise ValueError("is in a Transform with a scale; robots cannot be scaled") from None
+        raise ValueError("is in a Transform with a scale, but robots cannot be scaled") from None

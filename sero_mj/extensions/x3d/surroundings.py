@@ -1,4 +1,4 @@
-"""Converts shapes, viewpoints and lights of X3D to objects, cameras and lights."""
+"""Converts shapes, viewpoints and lights of X3D to objects, cameras and lights of scene files."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from .vrml_nodes import Node, Problems, get, instance
 from .wrl import VisitedNode, by_color, color_of, rotation, triangles_of
 from .wrl_geometry import Triangles, is_open, with_hull
 
-LIGHT_SHARE = 0.7  # factor of X3D intensities, because a headlight and ambient light are added
-_CAMERA_DISTANCE = 1.0  # distance to the look-at point if the center is behind the camera, m
-_LIGHT_DISTANCE = 4.0  # distance of directional lights, m
+LIGHT_SHARE = 0.7  # factor for X3D intensities, which compensates headlight and ambient light
+_CAMERA_DISTANCE = 1.0  # distance of the look-at point if the center is behind the camera, m
+_LIGHT_DISTANCE = 4.0  # distance of directional lights from the origin, m
 _MIN_ROLL = np.deg2rad(1.0)
 
 
 def object_table(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> tuple[dict[str, Any] | None, str, int]:
-    """Returns the table, a name and the number of triangles of a Shape.
+    """Converts a Shape to the table of an object.
 
-    The table declares a primitive or MJCF. It is None for an invisible Shape. The kind and line of
-    an unknown geometry are added to `left_out`.
+    The kind and line of an unknown geometry are added to `left_out`.
+
+    Returns:
+        table with a primitive or MJCF, or None for an invisible Shape; suggested name of the
+        object; and number of triangles.
     """
     geometry: Node | None = get(seen.node, "geometry", "SFNode", None, problems)
     geometry = geometry and (instance(geometry) or geometry)
@@ -47,7 +50,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
         return None
     axes = T[:3, :3] / scales
     if np.linalg.det(axes) < 0:
-        axes[:, 0] *= -1.0  # these primitives equal their mirror images
+        axes[:, 0] *= -1.0  # The primitives below equal their mirror images.
     if np.abs(axes.T @ axes - np.eye(3)).max() > 1e-9:
         return None
     shape, turned = "", np.eye(3)
@@ -65,7 +68,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
         if not all(parts) or abs(scales[0] - scales[2]) > 1e-9 * scales[0]:
             return None
         shape, size = "cylinder", np.array([radius * scales[0], height * scales[1]])
-        turned = rotation_about(0, -np.pi / 2)  # the axis is y in X3D, and z here
+        turned = rotation_about(0, -np.pi / 2)  # Cylinder axes are y in X3D and z in MuJoCo.
     else:
         return None
     if not (size > 0).all():
@@ -81,7 +84,7 @@ def _primitive(geometry: Node, T: Array, problems: Problems) -> dict[str, Any] |
 
 
 def mesh_text(pieces: list[Triangles]) -> str:
-    """Returns triangles as MJCF meshes without collisions. An open surface has no mass."""
+    """Returns MJCF text with a mesh for each piece. Open surfaces have no mass."""
     meshes, geoms = [], []
     for k, (vertices, faces, rgba) in enumerate(pieces):
         points = " ".join(f"{value:.7g}" for value in with_hull(vertices).ravel())
@@ -96,7 +99,7 @@ def mesh_text(pieces: list[Triangles]) -> str:
 
 
 def view_axes(viewpoint: Node, problems: Problems) -> Array:
-    """Returns the axes (3, 3) of a Viewpoint in its parent's frame: right, up and backward."""
+    """Returns the right, up and backward axes of a Viewpoint in its parent's frame, as columns."""
     default = np.array([0.0, 0.0, 1.0, 0.0])
     with problems.collect(f"{viewpoint.label}.orientation", viewpoint.line):
         return rotation(get(viewpoint, "orientation", "SFRotation", default, problems))
@@ -104,7 +107,7 @@ def view_axes(viewpoint: Node, problems: Problems) -> Array:
 
 
 def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any], float]:
-    """Returns a Viewpoint as a table, and its roll in degrees, which cameras do not support."""
+    """Returns the camera table of a Viewpoint, and its roll in degrees, which cameras lack."""
     node = seen.node
     axes = seen.T[:3, :3] @ view_axes(node, problems)
     axes = axes / np.linalg.norm(axes, axis=0)
@@ -125,7 +128,7 @@ def camera_table(seen: VisitedNode, problems: Problems) -> tuple[dict[str, Any],
 
 
 def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
-    """Returns a DirectionalLight or a SpotLight as a table, or None if the light is off."""
+    """Converts a DirectionalLight or SpotLight to a table, or returns None if it is off."""
     node = seen.node
     if not get(node, "on", "SFBool", True, problems):
         return None
@@ -147,6 +150,6 @@ def light_table(seen: VisitedNode, problems: Problems) -> dict[str, Any] | None:
 
 
 def rounded(values: Array) -> list[Any]:
-    """Returns numbers rounded to remove rounding errors, for writing to files."""
+    """Rounds numbers to 12 decimals, and returns them as nested lists for files."""
     numbers: list[Any] = (np.asarray(values, np.float64).round(12) + 0.0).tolist()
     return numbers

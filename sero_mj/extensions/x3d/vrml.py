@@ -32,15 +32,15 @@ from .vrml_nodes import (
     read_field,
 )
 
-MAX_BYTES = 50_000_000  # maximum size of an uncompressed file, about a million triangles
-_MAX_TOKENS = 2_000_000  # maximum without numbers in lists; parsing takes some seconds
-_MAX_DEPTH = 120  # maximum depth of nested nodes; each level takes several function calls
+MAX_BYTES = 50_000_000  # maximum size of an uncompressed file, with about a million triangles
+_MAX_TOKENS = 2_000_000  # maximum number of tokens; a list of numbers is one token
+_MAX_DEPTH = 120  # maximum depth of nested nodes; each level needs several function calls
 _GZIP = b"\x1f\x8b"
 _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
-# Inlined files often have no header.
 _OLDER = ("#VRML V1", "#Inventor")
+# Inlined files often have no header.
 _HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
-# Characters that mark continued lines in papers and editors.
+# Papers and editors mark continued lines with these characters.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
 _TOKEN = re.compile(
     rf"(?P<space>(?:[\s,\ufeff]|\#[^\r\n]*|[{_CONTINUED}](?=[^\S\n]*(?:\r?\n|\Z)))++)"
@@ -64,9 +64,10 @@ _WITH_VALUE = ("initializeOnly", "inputOutput")
 
 
 def read_document(path: Path) -> Document:
-    """Reads a VRML97 file, or an X3D file in the classic encoding, possibly gzip-compressed.
+    """Reads a VRML97 file or an X3D file in the classic encoding, which may be gzip-compressed.
 
-    Raises DeclarationError with all errors and their lines.
+    Raises:
+        DeclarationError: the file has errors. The message lists all errors and their lines.
     """
     return parse_document(_read_text(path), path)
 
@@ -103,7 +104,7 @@ def _read_text(path: Path) -> str:
 
 
 def _describe_start(start: str) -> str:
-    expected = "expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"
+    expected = "expected the first line `#X3D V3.0 utf8` or `#VRML V2.0 utf8`"
     if re.match(r"<\?xml|<!DOCTYPE X3D|<X3D", start):
         return f"is X3D in the XML encoding; {expected} (X3D's classic encoding)"
     if start.startswith(_OLDER):
@@ -114,7 +115,7 @@ def _describe_start(start: str) -> str:
 
 
 def parse_document(text: str, path: Path) -> Document:
-    """Parses text with an optional header. Raises DeclarationError with all errors and lines."""
+    """Parses VRML text with an optional header. Raises DeclarationError with all errors."""
     parser = _VrmlParser(text, path)
     document = parser.document()
     parser.problems.raise_all()
@@ -122,10 +123,10 @@ def parse_document(text: str, path: Path) -> Document:
 
 
 class _Token(NamedTuple):
-    kind: str  # number, numbers, text, name, mark, other, end
+    kind: str  # number, numbers, text, name, mark, other or end
     text: str
     line: int
-    numbers: Array | None = None  # all numbers of a list
+    numbers: Array | None = None  # values of a token of the kind `numbers`
 
 
 class _TooMuch(Exception):
@@ -145,7 +146,7 @@ class _VrmlParser:
         self.problems = Problems(path)
         self._tokens = self._scan(text)
         self._depth = 0
-        # After an error, no other error is reported until something is parsed successfully.
+        # After an error, other errors are not reported until a statement or field is valid again.
         self._is_lost = False
         self._errors = 0  # number of reported and unreported errors
         self._scope = _NameScope({})
@@ -176,7 +177,7 @@ class _VrmlParser:
                     position = end + 1
                     continue
             found = _TOKEN.match(text, position)
-            assert found is not None and found.lastgroup is not None  # `other` matches everything
+            assert found is not None and found.lastgroup is not None  # `other` matches all text.
             word = found.group()
             if found.lastgroup != "space":
                 yield _Token(found.lastgroup, word, line)
@@ -200,7 +201,7 @@ class _VrmlParser:
         if token.kind == "text":
             shown = reprlib.repr(token.text[1:-1])
         if token.text[:1] in ("“", "”", "„"):
-            expected += ' (quotes are ")'
+            expected += ' (use " as quotation mark)'
         elif token.text == '"':
             shown = 'an unclosed "'
         self._report(f"found {shown}; expected {expected}", token.line, key)
@@ -328,7 +329,7 @@ class _VrmlParser:
     def _interface(self, *, has_values: bool = True) -> dict[str, Field]:
         fields: dict[str, Field] = {}
         if self._token.numbers is not None and not self._token.numbers.size:
-            self._next()  # an empty list
+            self._next()  # The list of fields is empty.
             return fields
         if not self._takes("["):
             self._unexpected("[ and the fields of the PROTO")
@@ -495,7 +496,7 @@ class _VrmlParser:
         return True
 
 
-# Ignored statements of X3D, and the number of words that follow them.
+# These statements of X3D are ignored. The numbers are the words after each statement.
 _SKIPPED = {"PROFILE": 1, "COMPONENT": 1, "META": 2, "UNIT": 3, "EXPORT": 1, "IMPORT": 1}
 
 

@@ -1,7 +1,7 @@
 """The contents of a file in the classic VRML syntax: nodes, their fields, PROTOs and ROUTEs.
 
 The syntax does not determine the type of a field, so values are stored without a type. `read_field`
-converts a value to a type.
+converts a value to a given type.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ...base.errors import DeclarationError, Problem, mismatch, problems_of
 from ...base.frames import Array
 
 _MAX_PROBLEMS = 20  # maximum number of reported errors per file
-# Count of numbers in one value of each type.
+# One value of each type has this number of numbers.
 _WIDTHS = {
     "Float": 1, "Double": 1, "Time": 1, "Int32": 1,
     "Vec2f": 2, "Vec2d": 2, "Vec3f": 3, "Vec3d": 3, "Vec4f": 4, "Vec4d": 4,
@@ -27,7 +27,7 @@ _WIDTHS = {
 }  # fmt: skip
 _OTHER_TYPES = ("Bool", "String", "Node", "Image")
 TYPES = tuple(f"{many}{kind}" for kind in (*_WIDTHS, *_OTHER_TYPES) for many in ("SF", "MF"))
-_LARGEST = 1e30  # larger numbers are errors
+_LARGEST = 1e30  # absolute value above which numbers are errors
 
 
 class Is(NamedTuple):
@@ -38,7 +38,7 @@ class Is(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class FieldValue:
-    """The untyped value of a field.
+    """The value of a field, without a type.
 
     `items` are numbers (floats or one array), strings, booleans, nodes, None for NULL, or one `Is`.
     """
@@ -70,7 +70,7 @@ class Proto:
 
 @dataclass(eq=False)
 class Node:
-    """A node with its fields."""
+    """A node of a scene. `name` is the name that DEF gives to the node, or an empty string."""
 
     kind: str
     line: int
@@ -83,7 +83,7 @@ class Node:
         return self.name or self.kind
 
     def value(self, name: str) -> FieldValue | None:
-        """Returns the value of a field, or the default of its PROTO, or None."""
+        """Returns the value of a field, which defaults to the value in the PROTO, or to None."""
         if name in self.fields:
             return self.fields[name]
         declared = None if self.proto is None else self.proto.fields.get(name)
@@ -103,7 +103,7 @@ class RouteStatement:
 
 @dataclass(eq=False)
 class Document:
-    """The contents of a file."""
+    """The contents of a VRML or X3D file. `nodes` are the nodes at the top level."""
 
     path: Path
     nodes: list[Node] = field(default_factory=list)
@@ -113,14 +113,14 @@ class Document:
 
 
 class Problems:
-    """Collects the errors of a file."""
+    """Collects the errors of a file, so that all of them can be reported at once."""
 
     def __init__(self, path: Path, found: list[Problem] | None = None) -> None:
         self.path = path
         self.found: list[Problem] = [] if found is None else found
 
     def of(self, path: Path) -> Problems:
-        """Returns a collection for another file that shares this list of errors."""
+        """Returns a collection for the errors of another file, which are added to the same list."""
         return Problems(path, self.found)
 
     def add(self, key: str, message: str, line: int | None) -> None:
@@ -128,7 +128,7 @@ class Problems:
 
     @contextmanager
     def collect(self, key: str, line: int) -> Iterator[None]:
-        """Adds the problems of a ValueError raised within the context."""
+        """Context manager that catches a ValueError, and adds its problems to the collection."""
         try:
             yield
         except ValueError as error:
@@ -136,7 +136,7 @@ class Problems:
             self.found += [replace(each, file=str(self.path), line=line) for each in found]
 
     def raise_all(self) -> None:
-        """Raises DeclarationError with the first errors, if there are any."""
+        """Raises a DeclarationError with the first 20 errors, if there are any."""
         if not self.found:
             return
         different = dict.fromkeys(self.found)
@@ -148,7 +148,7 @@ class Problems:
 
 
 def instance(node: Node) -> Node | None:
-    """Returns the node that a PROTO of the same file creates, or None if it has no body."""
+    """Returns the node that replaces an instance of a PROTO, or None without a PROTO body."""
     if node.proto is None or not node.proto.body:
         return None
     made: dict[int, Node] = {}
@@ -174,17 +174,18 @@ def instance(node: Node) -> Node | None:
 
 
 def first(value: FieldValue) -> Any:
-    """Returns the first item of a value; None if the value is empty."""
+    """Returns the first item of a value, or None if the value is empty."""
     return value.items[0] if len(value.items) else None
 
 
 def read_field(value: FieldValue, kind: str) -> Any:
-    """Converts a value to a type, such as `SFFloat` or `MFVec3f`.
+    """Converts the value of a field to an X3D type, such as `SFFloat` or `MFVec3f`.
 
     Returns:
-        bool, int, float or str for SFBool, SFInt32, SFFloat and SFString; a `Node` or None for
-        SFNode; an array (w,) for types with w numbers. MF types become lists of strings, nodes or
-        booleans, or arrays (k,) or (k, w). The order of numbers in matrices is unchanged.
+        bool, int, float or str for SFBool, SFInt32, SFFloat and SFString; `Node` or None for
+        SFNode; array of shape (w,) for types with w numbers. MF types become lists of strings,
+        nodes or booleans, or arrays of shape (k,) or (k, w). The order of numbers in matrices is
+        unchanged.
 
     Raises:
         ValueError: the value does not have this type.
@@ -252,7 +253,10 @@ def _shown(items: Sequence[Any] | Array) -> str:
 
 
 def get(node: Node, name: str, kind: str, default: Any, problems: Problems) -> Any:
-    """Returns the value of a field, converted by `read_field`, and collects its errors."""
+    """Returns the value of a node's field, converted to the X3D type `kind` by `read_field`.
+
+    If the field is missing or invalid, returns `default`. Errors are added to `problems`.
+    """
     value = node.value(name)
     if value is None:
         return default

@@ -1,4 +1,4 @@
-"""Writes the tables of a scene as X3D in the classic encoding, with the paper's protos."""
+"""Converts tables of a scene file to X3D in the classic encoding, with the paper's protos."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ _IDENTITY = np.eye(4)
 
 
 def x3d_text(tables: Mapping[str, Any]) -> tuple[str, list[str]]:
-    """Returns a scene as X3D text for `read_x3d`, and the keys that X3D cannot express.
+    """Converts a scene to X3D text for `read_x3d`. Also returns the keys that X3D cannot express.
 
-    `tables` are the tables of a scene file, with robot fields instead of `model`.
+    `tables` are the tables of a scene file, in which robots have fields instead of `model`.
     """
     writer = _Writer(tables)
     return writer.text(), writer.left_out
@@ -46,7 +46,7 @@ class _Writer:
     def __init__(self, tables: Mapping[str, Any]) -> None:
         self.tables = tables
         self.left_out: list[str] = []
-        self.used: dict[str, None] = {}  # names of used protos
+        self.used: dict[str, None] = {}  # names of the protos in the scene
 
     def text(self) -> str:
         known = ("name", "description", "robots", "sources", "routes", "objects", "cameras",
@@ -114,10 +114,10 @@ class _Writer:
         return key == "directory" and not value
 
     def _by_craig(self, name: str, robot: dict[str, Any]) -> dict[str, Any]:
-        """Converts a standard DH table to Craig's convention, which the proto uses.
+        """Converts a standard DH table to Craig's convention, which the proto needs.
 
         A row in Craig's convention contains theta and d of the standard row with the same number,
-        and alpha and a of the previous row. The last alpha and a become part of the flange frame.
+        and alpha and a of the previous row. The flange frame includes the last alpha and a.
         """
         if robot.pop("dh_convention", PAPER_CONVENTION) == PAPER_CONVENTION:
             return robot
@@ -128,7 +128,7 @@ class _Writer:
         last = frame(rotation_about(0, rows[-1, 0]), np.array([rows[-1, 1], 0.0, 0.0]))
         robot["flange_frame"] = (last @ np.array(robot.get("flange_frame", _IDENTITY))).tolist()
         offsets = robot.get("offsets_to_center_of_joints")
-        if offsets is not None:  # from the frame before the joint to the frame after it
+        if offsets is not None:  # Offsets change from the frame before the joint to that after it.
             turned = [
                 rotation_about(2, -row[2]) @ offset - [0.0, 0.0, row[3]]
                 for row, offset in zip(rows, np.array(offsets, np.float64), strict=True)
@@ -188,7 +188,7 @@ class _Writer:
             geometries, scale = [("Sphere { radius 1.0 }", rgba)], np.array(size)
         elif shape == "cylinder":
             geometries = [(f"Cylinder {{ radius {size[0]!r} height {size[1]!r} }}", rgba)]
-            T = T @ frame(rotation_about(0, np.pi / 2))  # the axis is y in X3D and z in MuJoCo
+            T = T @ frame(rotation_about(0, np.pi / 2))  # The axis is y in X3D and z in MuJoCo.
         else:
             geometries = [] if text is None else [*_face_sets(text)]
         if not geometries:
@@ -289,7 +289,7 @@ def _field(name: str, kind: str, value: Any) -> list[str]:
     if kind in ("SFInt32", "SFFloat"):
         return [f"{name} {value!r}"]
     if kind == "SFMatrix4f":
-        return [f"{name} {_numbers(np.array(value).T)}"]  # the translation is in the fourth row
+        return [f"{name} {_numbers(np.array(value).T)}"]  # X3D has the translation in row 4.
     if kind == "MFString":
         entries = [_text(each) for each in value]
     else:
@@ -316,7 +316,7 @@ def _rotation(R: Array) -> str:
     angle = rotation_angle(R)
     twice = R - R.T
     axis = np.array([twice[2, 1], twice[0, 2], twice[1, 0]])
-    if np.linalg.norm(axis) < 1e-6:  # an angle of 0 or π
+    if np.linalg.norm(axis) < 1e-6:  # The angle is 0 or π.
         if angle < 1.0:
             return "0.0 0.0 1.0 0.0"
         square = (R + np.eye(3)) / 2
@@ -352,7 +352,7 @@ def shape_lines(
     scale: Array | None = None,
     name: str = "",
 ) -> list[str]:
-    """Returns the lines of a Shape, in a Transform if necessary."""
+    """Returns the lines of a Shape node, in a Transform node if the Shape is moved or scaled."""
     lines = [f"{f'DEF {name} ' if name else ''}Shape {{ geometry {geometry}"]
     if rgba is not None:
         look = f"diffuseColor {_numbers(rgba[:3])}"
@@ -387,9 +387,9 @@ def _face_sets(mjcf: str) -> Iterator[tuple[str, list[float] | None]]:
 
 
 def face_set(points: Array, faces: Any, crease: float = 3.2) -> str:
-    """Returns an IndexedFaceSet of triangles (f, 3) with vertices `points` (k, 3).
+    """Returns an IndexedFaceSet of triangles, shape (f, 3), with vertices `points`, shape (k, 3).
 
-    Edges are sharp above the angle `crease` in rad, and at duplicated vertices.
+    Edges are sharp above the angle `crease` in rad, and between duplicated vertices.
     """
     coordinates = ", ".join(" ".join(f"{value:.7g}" for value in point) for point in points)
     corners = " ".join(f"{a} {b} {c} -1" for a, b, c in np.asarray(faces).tolist())

@@ -1,4 +1,4 @@
-"""Reads the geometry of VRML97 and X3D files as triangles by color.
+"""Reads the geometry of VRML97 and X3D files as triangles, grouped by color.
 
 Sources: ISO/IEC 14772-1 (VRML97), clause 6, and ISO/IEC 19775-1 for nodes of X3D.
 """
@@ -21,19 +21,19 @@ from .wrl_geometry import GEOMETRIES, Triangles
 
 log = logging.getLogger(__name__)
 
-_MAX_NODES = 100_000  # maximum number of visited nodes of a file, counting each USE and PROTO
+_MAX_NODES = 100_000  # maximum number of visited nodes, which counts each USE and PROTO instance
 _MAX_TRIANGLES = 5_000_000
 _MAX_INLINES = 200
 _DEFAULT_COLOR = (0.8, 0.8, 0.8)
 
-# Grouping nodes, and the field of their children.
+# For each grouping node: the field with its children.
 _GROUPS = {
     "Transform": "children", "MatrixTransform": "children", "Group": "children",
     "StaticGroup": "children", "Anchor": "children", "Billboard": "children",
     "Collision": "children", "CADLayer": "children", "CADAssembly": "children",
     "CADPart": "children", "Scene": "children", "Switch": "choice", "LOD": "level",
 }  # fmt: skip
-# Nodes without visible effect.
+# These nodes have no visible effect, so no warning lists them.
 _UNSEEN = {
     "WorldInfo", "NavigationInfo", "Viewpoint", "OrthoViewpoint", "Background", "Fog",
     "DirectionalLight", "PointLight", "SpotLight", "Script", "TimeSensor", "TouchSensor",
@@ -42,7 +42,7 @@ _UNSEEN = {
 
 
 class VisitedNode(NamedTuple):
-    """A node visited in a scene. `T` is the affine T_root_node (4, 4)."""
+    """A visited node of a scene. `T` is its affine transform T_root_node, shape (4, 4)."""
 
     node: Node
     T: Array
@@ -50,14 +50,15 @@ class VisitedNode(NamedTuple):
 
 
 def read_wrl(path: Path) -> list[Triangles]:
-    """Reads the geometry of a VRML97 file, or of an X3D file in the classic encoding.
+    """Reads the geometry of a VRML97 file or of an X3D file in the classic encoding.
 
     A warning lists nodes that are not drawn, and missing files of Inline nodes.
 
     Returns:
-        for every color, vertices (v, 3) in the file's unit, triangles (f, 3), and RGBA (4,), or
-        None without a material. Triangles are counterclockwise seen from outside. Vertices are
-        duplicated at edges that are sharp according to `creaseAngle` or normals.
+        for each color: vertices in the file's unit, shape (v, 3); triangles, shape (f, 3); and
+        RGBA, shape (4,), or None without a material. Triangles are counterclockwise seen from
+        outside. Vertices are duplicated at edges that are sharp according to `creaseAngle` or
+        normals.
     """
     problems = Problems(path)
     document = read_document(path)
@@ -84,7 +85,7 @@ def read_wrl(path: Path) -> list[Triangles]:
 
 
 def by_color(pieces: list[Triangles]) -> list[Triangles]:
-    """Joins all pieces of the same color."""
+    """Joins all pieces of the same color to one piece."""
     same: dict[bytes | None, list[Triangles]] = {}
     for piece in pieces:
         same.setdefault(None if piece[2] is None else piece[2].tobytes(), []).append(piece)
@@ -109,7 +110,7 @@ def visit(
     """Traverses groups, transforms, PROTOs and inlined files, and returns all other nodes in order.
 
     If `is_leaf` returns True for a node, the node is returned instead of its children. Inlined
-    files are searched for in the folder of the file.
+    files must be in the folder of the file `path`.
     """
     found: list[VisitedNode] = []
     inlined: dict[Path, list[Node]] = {}
@@ -121,7 +122,7 @@ def visit(
         seen, files = todo.pop()
         count += 1
         if count > _MAX_NODES:
-            message = f"has more than {_MAX_NODES:,} nodes, counting those of every USE"
+            message = f"has more than {_MAX_NODES:,} nodes, including those of every USE"
             raise Problem("", message, str(path)).error()
         node, inner = seen.node, list[Node]()
         T, here = seen.T, problems.of(seen.path)
@@ -156,7 +157,7 @@ def visit(
 def _children(node: Node, problems: Problems) -> list[Node]:
     key = _GROUPS[node.kind]
     if key not in node.fields and key != "children":
-        key = "children"  # field of Switch and LOD in X3D
+        key = "children"  # X3D has this field in Switch and LOD.
     children: list[Node] = get(node, key, "MFNode", [], problems)
     if node.kind == "Switch":
         choice = get(node, "whichChoice", "SFInt32", -1, problems)
@@ -165,7 +166,7 @@ def _children(node: Node, problems: Problems) -> list[Node]:
 
 
 def _inlined_file(node: Node, path: Path) -> Path | None:
-    """Returns the first existing file of an Inline in the folder of `path`."""
+    """Returns the first file of an Inline that exists in the folder of `path`, or None."""
     value = node.value("url")
     for url in [] if value is None else read_field(value, "MFString"):
         file = Path(url.removeprefix("file:"))
@@ -176,7 +177,7 @@ def _inlined_file(node: Node, path: Path) -> Path | None:
 
 
 def kind_of(node: Node) -> str:
-    """Returns the kind of a node for messages, with the URLs of an Inline."""
+    """Returns the type of a node for messages. An Inline includes its URLs."""
     value = node.value("url")
     if node.kind != "Inline" or value is None:
         return node.kind
@@ -186,7 +187,7 @@ def kind_of(node: Node) -> str:
 def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
     if file.suffix.lower() not in scene_endings():
         message = (
-            f"found '{file.name}'; expected a file with extension {', '.join(scene_endings())}"
+            f"found '{file.name}'; expected a file with the extension {', '.join(scene_endings())}"
         )
         problems.add(f"{node.label}.url", message, node.line)
         return []
@@ -198,7 +199,7 @@ def _nodes_of(file: Path, node: Node, problems: Problems) -> list[Node]:
 
 
 def transform_of(node: Node) -> Array:
-    """Returns the affine T_parent_node (4, 4) of a grouping node."""
+    """Returns the affine transform T_parent_node of a grouping node, shape (4, 4)."""
     if node.kind == "MatrixTransform":
         value = node.value("matrix")
         return np.eye(4) if value is None else matrix(read_field(value, "SFMatrix4f"))
@@ -222,12 +223,12 @@ def transform_of(node: Node) -> Array:
 
 
 def matrix(numbers: Array) -> Array:
-    """Returns the frame (4, 4) of an SFMatrix4f, whose translation is in the fourth row."""
+    """Converts an SFMatrix4f, with the translation in the fourth row, to a frame, shape (4, 4)."""
     return numbers.reshape(4, 4).T.copy()
 
 
 def rotation(axis_angle: Array) -> Array:
-    """Returns the rotation (3, 3) of an SFRotation: an axis of any length and an angle in rad."""
+    """Converts an SFRotation, an axis of any length and an angle in rad, to a matrix, (3, 3)."""
     axis, angle = axis_angle[:3], float(axis_angle[3])
     length = np.linalg.norm(axis)
     if length == 0.0:
@@ -242,7 +243,7 @@ def rotation(axis_angle: Array) -> Array:
 def triangles_of(
     seen: VisitedNode, problems: Problems, left_out: dict[str, int]
 ) -> list[Triangles]:
-    """Returns the triangles of a Shape for each color, in coordinates of the root.
+    """Returns the triangles of a Shape for each color, in coordinates of the scene.
 
     The kind and line of an unknown geometry are added to `left_out`.
     """
@@ -278,7 +279,7 @@ def triangles_of(
 
 
 def color_of(shape: Node, problems: Problems) -> Array | None:
-    """Returns RGBA (4,) of a Shape's material; None if it has no material."""
+    """Returns the RGBA color of a Shape's material, shape (4,), or None without a material."""
     appearance: Node | None = get(shape, "appearance", "SFNode", None, problems)
     appearance = appearance and (instance(appearance) or appearance)
     material: Node | None = appearance and get(appearance, "material", "SFNode", None, problems)
@@ -287,7 +288,7 @@ def color_of(shape: Node, problems: Problems) -> Array | None:
         return None
     base = "baseColor" if material.kind == "PhysicalMaterial" else "diffuseColor"
     color = get(material, base, "SFColor", np.array(_DEFAULT_COLOR), problems)
-    if not np.any(color):  # the material is emissive or black
+    if not np.any(color):  # The material is emissive or black.
         color = get(material, "emissiveColor", "SFColor", color, problems)
     alpha = 1.0 - get(material, "transparency", "SFFloat", 0.0, problems)
     return np.asarray(np.clip(np.append(color, alpha), 0.0, 1.0))

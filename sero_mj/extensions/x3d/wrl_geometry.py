@@ -14,11 +14,11 @@ from ...base.frames import Array, Ints, rotation_about
 from .vrml_nodes import Node, Problems, get, instance
 
 _SIDES = 32  # number of sides of round shapes
-_MAX_CORNERS = 2000  # maximum for a concave polygon; triangulation takes quadratic time
+_MAX_CORNERS = 2000  # maximum number of corners of a concave polygon, which needs quadratic time
 _MAX_CONCAVE = 50_000  # maximum number of concave polygons
-_MAX_COLORS = 24  # maximum for one shape with vertex colors; more colors are averaged
+_MAX_COLORS = 24  # maximum number of colors of one shape; more vertex colors are averaged
 
-Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), faces (f, 3), rgba (4,)
+Triangles = tuple[Array, Ints, Array | None]  # vertices (v, 3), triangles (f, 3), and RGBA (4,)
 
 
 def _box(node: Node, problems: Problems) -> list[Triangles]:
@@ -81,7 +81,7 @@ def _revolved(profile: Array) -> Triangles:
     a, b = i * _SIDES + j, i * _SIDES + (j + 1) % _SIDES
     quads = np.stack([a, a + _SIDES, b + _SIDES, a, b + _SIDES, b], axis=-1)
     faces = quads.reshape(-1, 3)
-    # Vertices coincide at a pole.
+    # All vertices at a pole coincide, so only the first one is used.
     at_pole = np.repeat(np.flatnonzero(profile[:, 0] == 0.0) * _SIDES, _SIDES)
     renamed = np.arange(len(vertices))
     for first in np.unique(at_pole):
@@ -129,9 +129,9 @@ def _check_index(name: str, index: Ints, count: int, low: int = -1) -> None:
 
 
 def _cut(points: Array, index: Ints) -> Ints:
-    """Triangulates polygons of points (n, 3), whose indices end with -1.
+    """Triangulates polygons, whose point indices end with -1.
 
-    Returns the positions of triangle corners in `index`, shape (f, 3).
+    Returns the positions of the triangles' corners in `index`, shape (f, 3).
     """
     ends = np.flatnonzero(np.append(index, -1) < 0)
     starts = np.append(0, ends[:-1] + 1)
@@ -150,7 +150,7 @@ def _cut(points: Array, index: Ints) -> Ints:
         bends = np.cross(outlines - before, following - outlines)
         signs = np.einsum("pci,pi->pc", bends, normals)
         sizes = np.linalg.norm(normals, axis=1) ** 2
-        if count == 4:  # cut at the concave corner, if any
+        if count == 4:  # A quadrilateral is cut at its concave corner, if it has one.
             turns = (np.argmin(signs, axis=1)[:, None] + np.arange(4)) % 4
             polygons = np.take_along_axis(polygons, turns, axis=1)
             signs = np.ones_like(signs)
@@ -168,10 +168,10 @@ def _cut(points: Array, index: Ints) -> Ints:
 
 
 def clip_ears(outline: Array, normal: Array) -> Ints:
-    """Triangulates a planar, possibly concave outline (n, 3) by clipping ears.
+    """Triangulates a planar polygon, shape (n, 3), which may be concave, by ear clipping.
 
-    The corners are counterclockwise seen against the normal. Returns indices of the triangles'
-    corners, shape (n - 2, 3).
+    The corners are counterclockwise about the normal. Returns corner indices of the triangles,
+    shape (n - 2, 3).
 
     Source: Meisters, Polygons Have Ears, 1975.
     """
@@ -179,7 +179,7 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
         raise ValueError(
             f"found a concave polygon with {len(outline)} corners; expected at most {_MAX_CORNERS}"
         )
-    # Project to the coordinate plane with the largest area, counterclockwise.
+    # The polygon is projected to the coordinate plane in which it has the largest area.
     drop = int(np.abs(normal).argmax())
     flat = outline[:, [(drop + 1) % 3, (drop + 2) % 3]]
     if normal[drop] < 0:
@@ -193,7 +193,7 @@ def clip_ears(outline: Array, normal: Array) -> Ints:
         # Any ear is correct, although clipping the sharpest one first would look better.
         ears = np.flatnonzero(turn > 0)
         reflex = ring[turn <= 0]
-        # An outline without ears intersects itself, and is cut anyway.
+        # An outline without ears intersects itself, but it must be cut as well.
         empty = (int(k) for k in ears if _is_empty(before[k], ring[k], after[k], reflex))
         ear = next(empty, int(np.argmin(np.abs(turn))))
         triangles.append([left[ear - 1], left[ear], left[(ear + 1) % len(left)]])
@@ -240,13 +240,13 @@ def _of_corners(
 
 
 def is_open(vertices: Array, faces: Ints) -> bool:
-    """Returns whether a surface has an edge that belongs to only one triangle."""
+    """Returns whether a surface of triangles has an edge that belongs to only one triangle."""
     _, names = np.unique(vertices, axis=0, return_inverse=True)
     return _has_ends(names.ravel()[faces])
 
 
 def with_hull(vertices: Array) -> Array:
-    """Returns vertices (v, 3), with an unused vertex next to their plane if they are coplanar.
+    """Appends an unused vertex next to the plane of vertices, shape (v, 3), if they are coplanar.
 
     MuJoCo cannot compute the convex hull of planar meshes.
     """
@@ -288,15 +288,15 @@ def _smoothing(
 
 
 def smoothed(normals: Array, faces: Ints, min_cosine: float) -> Ints:
-    """Labels corners of triangles (f, 3). Corners that meet at smooth edges have the same label.
+    """Labels the corners of triangles. Corners that meet at smooth edges have the same label.
 
-    An edge is smooth if the cosine between the normals of its two triangles is at least
-    `min_cosine`.
+    At a smooth edge, the cosine of the angle between the normals is at least `min_cosine`. The
+    shape of the returned labels is (f, 3), as that of the triangles' vertex indices `faces`.
     """
     units = normals / np.linalg.norm(normals, axis=1, keepdims=True)
     count = len(faces)
     here = np.arange(3 * count).reshape(-1, 3)
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)  # the end corners of edges
+    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)  # vertices at both ends of each edge
     at = here[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     turned = ends[:, 0] > ends[:, 1]
     ends[turned], at[turned] = ends[turned][:, ::-1], at[turned][:, ::-1]
@@ -346,7 +346,7 @@ def _by_color(
     return [(which.ravel() == k, value) for k, value in enumerate(values)]
 
 
-# Functions that return the triangles of a node.
+# Each function returns the triangles of one type of geometry nodes.
 GEOMETRIES: dict[str, Any] = {
     "Box": _box,
     "Sphere": _sphere,

@@ -12,31 +12,32 @@ from ...base.frames import Array, Ints
 from .robot_dynamics import GRAVITY
 from .solids import Solids, geom_boxes, geoms_of
 
-# Minimum radius of an arrow: shares of the link length, and of half the length of the shorter body
-# at the joint, of which the latter is limited to a share of the extent of the robot.
+# Fractions that define the minimum radius of an arrow: of the link length, and of half the length
+# of the shorter body at the joint, up to a fraction of the robot's extent.
 _SMALLEST, _OF_HALF, _OF_ROBOT = 0.12, 0.25, 0.05
-_OF_SKIN = 0.12  # share of the robot's extent; a skin may be much thicker than the bodies in it
-_STEP = 1.12  # ratio of the radii that are tried
-_HEIGHT = 0.3  # of an arrow, over its radius
-_MAX_HIDDEN = 0.47  # share of an arrow that may be hidden: links extend on one or two sides
-# Required reduction of the hidden share for an arrow larger by a factor of e, and for one larger
-# than a fraction of the link's length.
+_OF_SKIN = 0.12  # fraction of the robot's extent, as a skin may be thicker than the bodies in it
+_STEP = 1.12  # ratio of successive radii in the search
+_HEIGHT = 0.3  # height of an arrow, relative to its radius
+_MAX_HIDDEN = 0.47  # maximum hidden fraction of an arrow, as links extend on one or two sides
+# Required reduction of the hidden fraction if an arrow is larger by a factor of e, and if it is
+# also larger than a fraction of the link length.
 _PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
 _NEIGHBOURS = 5  # number of nearest joints with arrows of similar size
-_MAX_GROWTH = 1.4  # largest factor by which an arrow is made larger for that
-_MIN_WIDTH = 0.1  # full width of an arrow over its radius
-_AXES = 2.0  # length of axes over the radius of arrows, so that they extend out of the housings
-_AT_ONE_PLACE = 0.02  # of the robot's extent
-_MIN_SHARE = 0.02  # minimum load of a joint, fraction of the largest load of the robot
+_MAX_GROWTH = 1.4  # maximum factor by which an arrow is enlarged to resemble its neighbors
+_MIN_WIDTH = 0.1  # minimum full width of an arrow, relative to its radius
+_AXES = 2.0  # length of axes relative to the arrow radius, so that they extend out of housings
+_AT_ONE_PLACE = 0.02  # maximum distance of coincident joints, relative to the robot's extent
+_MIN_SHARE = 0.02  # minimum load of a joint, relative to the largest load of the robot
 
 
 class MeasuredBodies(NamedTuple):
-    """The part of a model that is a robot.
+    """The elements of a model that belong to a robot.
 
     Attributes:
-        joints: ids of its hinge and slide joints, (n,).
-        trunk: ids of geoms of the world body that are part of it.
-        centres: ids of the sites at the centers of its arrows, (n,); None for the joint anchors.
+        bodies: ids of the bodies.
+        joints: ids of the hinge and slide joints, shape (n,).
+        trunk: ids of the geoms of the world body that belong to the robot.
+        centres: ids of the sites at the arrow centers, shape (n,); None for the joint anchors.
     """
 
     bodies: Ints
@@ -47,15 +48,15 @@ class MeasuredBodies(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Sizes:
-    """Sizes of a robot's decor.
+    """Sizes of the arrows and axes of a robot, measured in a compiled model.
 
     Attributes:
         link: typical distance between adjacent joints, m.
-        arrow_radius: minimum radius at which links do not hide the arrow, (n,), m.
-        full_width: full width of arrows relative to their radius (n,): 1, or less for joints that
-            are close to each other.
-        axes: length of the coordinate axes of the body that each joint moves, (n,), m.
-        load: approximate maximum gravity load, weight times distance, (n,), Nm or N.
+        arrow_radius: smallest radii at which links do not hide the arrows, shape (n,), m.
+        full_width: full widths of the arrows relative to their radii, shape (n,). The width is 1,
+            or less for joints that are close to each other.
+        axes: lengths of the coordinate axes of the bodies that the joints move, shape (n,), m.
+        load: approximate maximum gravity torques or forces of the joints, shape (n,), Nm or N.
     """
 
     link: float
@@ -66,7 +67,7 @@ class Sizes:
 
 
 def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -> Sizes:
-    """Computes the sizes of the decor of a robot for data after `mj_fwdPosition`."""
+    """Computes the sizes of a robot's arrows and axes from data after `mj_fwdPosition`."""
     anchors = data.xanchor[robot.joints]
     low, high = boxes = geom_boxes(model, data)
     mine = geoms_of(model, robot.bodies, robot.trunk)
@@ -81,7 +82,7 @@ def measure(model: mujoco.MjModel, data: mujoco.MjData, robot: MeasuredBodies) -
 
 
 def _median(values: Array) -> float:
-    ordered = np.sort(values)  # np.median and np.unique import numpy.ma, which takes 25 ms
+    ordered = np.sort(values)  # np.median and np.unique import numpy.ma, which takes 25 ms.
     return float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2]) / 2
 
 
@@ -93,8 +94,8 @@ def _radii(
     links: Array,
     extent: float,
 ) -> Array:
-    # The smallest visible radius, rarely larger than the bodies that the joint connects, and if
-    # possible similar to those of adjacent joints.
+    # The result is the smallest visible radius. It is rarely larger than the bodies that the joint
+    # connects, and if possible similar to the radii of adjacent joints.
     axes = data.xaxis[robot.joints]
     anchors = data.xanchor[robot.joints] if robot.centres is None else data.site_xpos[robot.centres]
     solids = Solids(model, data)
@@ -113,7 +114,7 @@ def _radii(
         large = _LARGEST * max(links[i], _median(links))
         cost = np.maximum(shares - _MAX_HIDDEN, 0.0) + _PER_SIZE * np.log(radii / low)
         cost += _PER_LARGE * np.maximum(np.log(radii / large), 0.0)
-        best = min(int(cost.argmin()) + 1, count - 1)  # one step clear of the surface
+        best = min(int(cost.argmin()) + 1, count - 1)  # One more step clears the surface.
         tried.append(radii[best:])
         hidden.append(shares[best:])
         smallest.append(radii[best])
@@ -144,9 +145,9 @@ def _half_lengths(
 def _link_lengths(
     model: mujoco.MjModel, robot: MeasuredBodies, anchors: Array, extent: float
 ) -> Array:
-    # Distances to the farther adjacent joint. Coincident joints, as in a wrist, count as one.
+    # Link lengths are distances to the farther adjacent joint. Coincident joints count as one.
     row = {int(body): i for i, body in enumerate(model.jnt_bodyid[robot.joints])}
-    before = np.full(len(anchors), -1)  # the parent joint of each
+    before = np.full(len(anchors), -1)  # row of the parent joint
     for i, body in enumerate(model.jnt_bodyid[robot.joints]):
         at = int(body)
         while at and before[i] < 0:
@@ -158,7 +159,7 @@ def _link_lengths(
     for i in (before >= 0).nonzero()[0].tolist():
         step = float(np.linalg.norm(anchors[i] - anchors[before[i]]))
         links[i], links[before[i]] = max(links[i], step), max(links[before[i]], step)
-    for i in range(len(anchors)):  # coinciding joints share the longest
+    for i in range(len(anchors)):  # Coincident joints share the longest length.
         beside = np.linalg.norm(anchors - anchors[i], axis=1) <= _AT_ONE_PLACE * extent
         links[i] = max(links[i], float(links[beside].max()))
     known = links > 0

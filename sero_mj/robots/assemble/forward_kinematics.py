@@ -1,4 +1,4 @@
-"""`ForwardKinematics`: fast forward kinematics of single poses."""
+"""`ForwardKinematics`: fast forward kinematics of a robot for single poses."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ _EYE = np.eye(4)
 
 
 class ForwardKinematics:
-    """Forward kinematics of a robot, without later changes of its declaration.
+    """A function that computes the forward kinematics of a robot with MuJoCo.
 
-    MuJoCo computes single poses in a sixth of the time of `SerialRobot.fwd_kin_base_to_flange`,
-    which computes arrays of poses. Each thread needs its own object.
+    It needs a sixth of the time of `SerialRobot.fwd_kin_base_to_flange` for a single pose. Later
+    changes of the robot have no effect. Each thread needs its own object.
     """
 
     def __init__(self, robot: SerialRobot) -> None:
@@ -39,16 +39,18 @@ class ForwardKinematics:
         self._position, self._rotation = flange.xpos, flange.xmat.reshape(3, 3)
 
     def __call__(self, joint_angles: ArrayLike) -> Array:
-        """Returns T_base_flange (..., 4, 4), m, at (..., n) or (..., k) independent angles.
+        """Returns the pose of the flange in the base frame, shape (..., 4, 4), in m.
 
-        Raises ValueError if the last axis is neither n nor k long.
+        Args:
+            joint_angles: values of all joints, shape (..., n), or of the independent joints, shape
+                (..., k), rad or m. Other shapes raise DeclarationError.
         """
         q = np.asarray(joint_angles, np.float64)
         if self._coupled is not None and q.shape[-1:] == (self._coupled.k,):
             q = self._coupled.full("joint_angles", q)
         if q.shape[-1:] != (self.n,):
             expected = f"{self.n} in the last axis"
-            raise Problem("joint_angles", f"found {q.shape}", expected=expected).error()
+            raise Problem("joint_angles", f"found shape {q.shape}", expected=expected).error()
         if q.ndim > 1:
             return self._of_many(q)
         self._qpos[:] = q

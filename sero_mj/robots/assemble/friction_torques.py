@@ -14,12 +14,12 @@ from .world_view import WorldView
 
 log = logging.getLogger(__name__)
 
-VELOCITIES = "joint_velocities"  # optional input of a robot, for received velocities
-SLOW = 0.01  # rad/s or m/s; below it, Coulomb friction may hold the joint
+VELOCITIES = "joint_velocities"  # optional input of a robot for received velocities
+SLOW = 0.01  # velocity below which Coulomb friction may hold the joint, rad/s or m/s
 
 
 def lack_of_friction(robot: SerialRobot) -> str:
-    """Returns why a robot's friction is unknown; empty if it is declared."""
+    """Returns the reason why the friction of a robot is unknown, or "" if it is declared."""
     declared = robot.dynamics
     if declared.viscous_friction is None and declared.coulomb_friction is None:
         return "dynamics has neither viscous_friction nor coulomb_friction"
@@ -27,11 +27,11 @@ def lack_of_friction(robot: SerialRobot) -> str:
 
 
 def friction_of(robot: SerialRobot, velocities: Array) -> Array:
-    """Returns the torques (..., n), Nm or N, that overcome the declared friction.
+    """Returns the torques that overcome the declared friction, shape (..., n), Nm or N.
 
-    This is viscous friction, proportional to the velocity, plus Coulomb friction in its direction.
-    Below `SLOW`, Coulomb friction is proportional to the velocity, too, so that noise does not
-    cause jumps; at rest its true value can be anything between its two limits.
+    Viscous friction is proportional to the velocity. Coulomb friction is constant, except below
+    0.01 rad/s or m/s, where it is also proportional to the velocity, so that noise does not cause
+    jumps. At rest, the true value may be anywhere between the two limits.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)
@@ -43,10 +43,10 @@ def friction_of(robot: SerialRobot, velocities: Array) -> Array:
 
 
 def joint_velocities(world: WorldView, data: Any) -> Array:
-    """Returns the velocities of the joints of a world, (N,), rad/s or m/s.
+    """Returns the velocities of all joints of a world, shape (N,), rad/s or m/s.
 
-    They are the received values of an input `joint_velocities` if a robot has it, else those of
-    the state, which a mirror derives from angles. Values of doubles are NaN.
+    If a robot has an input `joint_velocities` with received values, these are returned. Otherwise,
+    velocities are those of the state, which a mirror derives from angles. Doubles have NaN.
     """
     state, joints = world.state(data), world.joints
     found = np.full(len(joints.names), np.nan)
@@ -60,13 +60,13 @@ def joint_velocities(world: WorldView, data: Any) -> Array:
     return found
 
 
-_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds for which missing friction was logged
+_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds whose missing friction has been logged
 
 
 def friction_torques(world: WorldView, data: Any) -> Array:
-    """Returns the torques that overcome the friction of joints, (N,), Nm or N.
+    """Returns the torques that overcome friction in all joints of a world, shape (N,), Nm or N.
 
-    Values of doubles and of robots without declared friction are NaN; the latter are logged once.
+    Values of doubles and of robots without declared friction are NaN. Such robots are logged once.
     """
     velocities = joint_velocities(world, data)
     found = np.full(len(velocities), np.nan)

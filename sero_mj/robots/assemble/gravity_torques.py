@@ -1,4 +1,4 @@
-"""`GravityTorques`: the torques that hold robots still, computed from their model."""
+"""`GravityTorques`: the torques that hold robots against gravity, computed from their model."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ log = logging.getLogger(__name__)
 
 
 class GravityTorques:
-    """Computes the gravity torques of robots, including those that they carry.
+    """Computes the gravity torques of robots, including the loads of robots mounted on them.
 
     Bases are at their declared frames. Raises DeclarationError if MuJoCo cannot compile the robots,
-    or one has a free base.
+    or if a robot has a free base.
     """
 
     def __init__(self, robots: Mapping[str, SerialRobot]) -> None:
         floating = [name for name, robot in robots.items() if robot.free_base is True]
         if floating:
-            why = "has a free base, and cannot hold itself against gravity"
+            why = "joint torques cannot hold a robot with a free base against gravity"
             raise DeclarationError([Problem(f"robots.{name}", why) for name in floating])
         self._world = world_without_meshes(robots.values())
         self._world.model.opt.gravity[:] = EARTH
@@ -38,7 +38,7 @@ class GravityTorques:
         self._torques: Array = np.zeros(self._world.model.nv)
 
     def of(self, angles: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the torques of every robot, (n,), Nm or N."""
+        """Returns the gravity torques of each robot at joint angles (n,), shape (n,), Nm or N."""
         model, data, parts = self._world.model, self._data, self._world.robots
         for name, part in parts.items():
             data.qpos[part.qpos] = angles[name]
@@ -47,10 +47,11 @@ class GravityTorques:
         return {name: self._torques[part.dofs] for name, part in parts.items()}
 
     def over_time(self, angles: Mapping[str, Array]) -> dict[str, Array]:
-        """Returns the torques of every robot at several times, (T, n), Nm or N.
+        """Returns the gravity torques of each robot at T times, shape (T, n), Nm or N, by name.
 
-        Angles are (T, n), or (n,) if constant. At times with an angle that is NaN, the torques of
-        all robots are NaN.
+        Args:
+            angles: joint values of each robot, shape (T, n), or (n,) if constant, rad or m. Where a
+                value is NaN, the torques of all robots are NaN.
         """
         count = max((len(each) for each in angles.values() if each.ndim > 1), default=1)
         rows = {name: np.broadcast_to(q, (count, q.shape[-1])) for name, q in angles.items()}
@@ -64,21 +65,24 @@ class GravityTorques:
 
 
 _KNOWN: WeakKeyDictionary[WorldView, GravityTorques] = WeakKeyDictionary()
-_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds without such a model, which is logged once
+_WITHOUT: WeakSet[WorldView] = WeakSet()  # worlds whose missing gravity model has been logged
 
 
 def gravity_model(world: WorldView) -> GravityTorques:
-    """Returns the `GravityTorques` of a world, compiled once; raises DeclarationError as that."""
+    """Returns the gravity model of a world, which is compiled at the first call.
+
+    Raises DeclarationError if MuJoCo cannot compile the robots, or if a robot has a free base.
+    """
     if world not in _KNOWN:
         _KNOWN[world] = GravityTorques({name: part.robot for name, part in world.robots.items()})
     return _KNOWN[world]
 
 
 def gravity_torques(world: WorldView, data: Any) -> Array:
-    """Returns the torques that hold the joints of a world against gravity, (N,), Nm or N.
+    """Returns the torques that hold all joints of a world against gravity, shape (N,), Nm or N.
 
-    Values of doubles are NaN. If the robots have no gravity model, a warning is logged once and all
-    values are NaN. The first call for a world compiles the model.
+    Values of doubles are NaN. If there is no gravity model, all values are NaN, and a warning is
+    logged once. The first call for a world compiles the model.
     """
     found = np.full(len(world.joints.names), np.nan)
     if world in _WITHOUT:

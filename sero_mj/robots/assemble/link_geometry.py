@@ -1,4 +1,4 @@
-"""Geoms of links: declared mesh files and primitive shapes, or generated shapes."""
+"""Creates geoms for links from declared mesh files and primitive shapes, or generated shapes."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from .mjcf_elements import (
 from .mjcf_links import drawn_links, touching_links
 
 Geom = dict[str, Any]
-_MAX_TRIMMED = 16  # joints
+_MAX_TRIMMED = 16  # maximum number of joints of robots with decorative trims
 
 
 def generated(robot: SerialRobot) -> list[list[LinkShape]]:
-    """Returns the generated shapes of base and links."""
+    """Returns the generated shapes of the base and the links of a robot."""
     return generate_shapes(robot.kinematics, robot.T_n_flange, robot.strokes, robot.flange_link)
 
 
@@ -41,9 +41,9 @@ def drawn_geoms(
     shrink: float = 1.0,
     hull: Hull = "never",
 ) -> list[list[Geom]]:
-    """Returns the attributes of the visible geoms of the base and every link, in their frames.
+    """Returns the attributes of the visible geoms of the base and of each link, in link frames.
 
-    Sizes are scaled by `shrink` about each link's origin. Errors are added to `problems`.
+    Sizes are multiplied by `shrink`, about the origin of each link. Errors are added to `problems`.
     """
     scope = "" if shrink == 1.0 else f"double-{robot.name}-"
     if robot.mjcf is not None:
@@ -57,7 +57,7 @@ def drawn_geoms(
 
 
 def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
-    """Returns the attributes of massless trim on generated links, for robots of few joints."""
+    """Returns the attributes of massless decorative geoms on generated links of small robots."""
     if robot.mjcf is not None or robot.filenames or robot.n > _MAX_TRIMMED:
         return [[] for _ in range(robot.n + 1)]
     found = trims(generated(robot), robot.T_n_flange, robot.flange_link)
@@ -65,7 +65,7 @@ def trim_geoms(robot: SerialRobot) -> list[list[Geom]]:
 
 
 def touching_geoms(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[Geom]]:
-    """Returns the geoms of the declared `collisions`, or of MJCF.
+    """Returns the attributes of the collision geoms from `collisions` or MJCF, per link.
 
     Raises DeclarationError if a mesh file cannot be read.
     """
@@ -115,13 +115,13 @@ def _declared(
 def part_geoms(
     root: mujoco.MjSpec, part: LinkGeometry, name: str, folder: Path, rgba: Any, hull: Hull
 ) -> list[Geom]:
-    """Returns the attributes of the geoms of a mesh file, one for each color, or of a shape.
+    """Returns the attributes of geoms: one per color of a mesh file, or one for a primitive shape.
 
     Raises DeclarationError if the file cannot be read.
     """
     at = pose(part.frame) | finish_material(root, part.finish)
     if part.shape is not None:
-        assert part.size is not None  # checked by LinkGeometry
+        assert part.size is not None  # LinkGeometry checks this.
         size = half_sizes(part.shape, part.size)
         look = _faded(SHELL if rgba is None else rgba, part)
         return [{"type": geom_type(part.shape), "size": size, "rgba": look, **at}]
@@ -138,7 +138,7 @@ def _faded(rgba: Any, part: LinkGeometry) -> Any:
 
 
 def mesh_scale(robot: SerialRobot, part: LinkGeometry) -> Array:
-    """Returns the scale of a mesh, (3,), m per unit; negative along mirrored axes."""
+    """Returns the scale of a mesh, shape (3,), m per unit. It is negative along mirrored axes."""
     scale = np.full(3, robot.mesh_scale) if part.scale is None else part.scale
     return scale * (MIRROR.diagonal()[:3] if robot.mirrored else 1.0)
 

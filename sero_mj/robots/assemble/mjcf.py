@@ -1,9 +1,8 @@
-"""Builds a scene's robots and surroundings as MJCF, with `mujoco.MjSpec`.
+"""Builds the robots and surroundings of a scene as a `mujoco.MjSpec`.
 
-A robot is one body at its base frame with a chain of bodies, one per row of its DH table, whose
-frames are the DH frames: body i is at T_{i-1,i}(q_i = 0), and z of its own frame (craig) or of its
-parent's (standard) is the joint axis. The base is a mocap body, or a child of a body of the robot
-that carries it.
+A robot consists of a body at its base frame and one body per row of its DH table. Body i is at
+T_{i-1,i}(q_i = 0). The joint axis is z of its own frame (craig) or of the parent frame (standard).
+The base is a mocap body, or the child of a body of the robot on which it is mounted.
 """
 
 from __future__ import annotations
@@ -50,31 +49,31 @@ from .rigid_urdf import urdf_piece
 from .robot_dynamics import RobotDynamics, declared_inertia
 
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
-SKY = "sky"  # name of the texture
+SKY = "sky"  # name of the sky texture
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
 _KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
-_TILE = 0.25  # edge of a tile of the floor, m
-_SCENE_SIZE = 1.25  # size of the robot for which these values are chosen, m
-_SLICES, _STACKS = 24, 10  # of round geoms, about their axis and along it
-_ROUND, _FINEST = 0.14, 2.5  # radius, m, up to which these suffice, and maximum refinement
+_TILE = 0.25  # edge length of a floor tile, m
+_SCENE_SIZE = 1.25  # size of a robot for which these values are suitable, m
+_SLICES, _STACKS = 24, 10  # subdivisions of round geoms about and along their axis
+_ROUND, _FINEST = 0.14, 2.5  # radius for which these suffice, m, and maximum refinement factor
 _BALLS = (mujoco.mjtGeom.mjGEOM_SPHERE, mujoco.mjtGeom.mjGEOM_ELLIPSOID)
 _TUBES = (mujoco.mjtGeom.mjGEOM_CYLINDER, mujoco.mjtGeom.mjGEOM_CAPSULE)
 _SPOT = mujoco.mjtLightType.mjLIGHT_SPOT
-# A double is slightly smaller than its robot, so that its surface is inside the robot's where they
-# nearly coincide, without flicker (z-fighting).
+# A double is slightly smaller than its robot. Where both nearly coincide, the surface of the double
+# is hidden in the robot, which avoids flicker (z-fighting).
 _SHRINK = 0.985
 
 
 def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None) -> mujoco.MjSpec:
-    """Returns the scene as one `MjSpec`, with names scoped by robot (`lwr/link1`).
+    """Builds a scene as one `MjSpec`, with names scoped by robot (`lwr/link1`).
 
-    The result is for simulation if dynamics are given, else for display. Raises DeclarationError if
-    a file is missing or cannot be read.
+    `dynamics` contains the dynamics of the robots for simulation, or is None for display. Raises
+    DeclarationError if a file is missing or cannot be read.
     """
     root = mujoco.MjSpec()
     root.modelname = scene.name
     root.compiler.degree = False
-    # A moving body needs a mass, even a link without geometry (in a wrist).
+    # A moving body needs a mass, even if it is a link without geometry, as in a wrist.
     root.compiler.boundmass, root.compiler.boundinertia = 1e-9, 1e-12
     moved = moving(scene)
     _surroundings(root, scene, moved)
@@ -89,7 +88,7 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
     unbuilt: set[str | None] = set()
     for name in mount_order(scene.robots):
         robot, count = scene.robots[name], len(problems)
-        if carrier(robot) not in unbuilt:  # otherwise, errors of the carrier are reported
+        if carrier(robot) not in unbuilt:  # Otherwise, errors of the carrier are reported.
             with collect(problems, f"robots.{name}"):
                 _add_robot(root, robot, None if dynamics is None else dynamics[name])
         if len(problems) > count or carrier(robot) in unbuilt:
@@ -107,8 +106,8 @@ def build_spec(scene: Scene, dynamics: Mapping[str, RobotDynamics] | None = None
 
 
 def _refine_round_geoms(root: mujoco.MjSpec) -> None:
-    # More triangles for models with a round geom so large that its edges are visible. MuJoCo has
-    # one number for the whole model, and robots of many cylinders would take twice the time.
+    # Round geoms that are so large that their edges are visible need more triangles. MuJoCo has one
+    # setting for the whole model, and robots with many cylinders would take twice the time.
     largest = max((max(geom.size) for geom in root.geoms if geom.type in _BALLS), default=0.0)
     tubes = (float(geom.size[0]) for geom in root.geoms if geom.type in _TUBES)
     finer = np.clip(np.sqrt(max(largest, *tubes, 0.0) / _ROUND), 1.0, _FINEST)
@@ -178,7 +177,7 @@ def _attach(
 
 
 def moved_body(name: str) -> str:
-    """Returns the name of the body of an object or camera that a route or physics moves."""
+    """Returns the body name of an object or camera that a route or the simulation moves."""
     return f"moved-{name}"
 
 
@@ -188,12 +187,12 @@ def _moved_body(root: mujoco.MjSpec, name: str, T: Array) -> mujoco.MjsBody:
 
 def _clashes(scene: Scene) -> list[Problem]:
     problems = []
-    taken = {"floor": "the floor has this name"} if scene.floor else {}
-    pieces = {name: "a robot has this name" for name in scene.robots}
+    taken = {"floor": "the floor already has this name"} if scene.floor else {}
+    pieces = {name: "a robot already has this name" for name in scene.robots}
     for item in scene.objects:
         names = pieces if item.mjcf is not None or item.urdf is not None else taken
         if item.name in names:
-            message = f"{names[item.name]}; expected another name"
+            message = f"{names[item.name]}; expected a different name"
             problems.append(Problem(f"objects.{item.name}", message))
         taken[item.name] = pieces[item.name] = "two objects have this name"
     return problems
@@ -204,7 +203,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
     root.compiler.degree = False
     problems: list[Problem] = []
     inertia = declared_inertia(robot)
-    # Without declared masses, arrows are scaled by the masses of meshes.
+    # If no masses are declared, the masses of the meshes determine the scale of the arrows.
     geoms = drawn_geoms(root, robot, problems, hull="never" if inertia else "unless flat")
     geoms = [own + more for own, more in zip(geoms, trim_geoms(robot), strict=True)]
     body = root.worldbody
@@ -216,7 +215,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
         if inertia is not None:
             set_inertia(body, inertia, i + 1)
         body.add_site(name=f"frame{i + 1}", group=SITE_GROUP)
-        # Site of arrows and billboards; its z is the joint axis in both conventions.
+        # Arrows and billboards are at this site. Its z axis is the joint axis in both conventions.
         body.add_site(name=f"centre{i + 1}", group=SITE_GROUP, **pose(centres[i]))
     carrying = [root.worldbody, *links][robot.flange_link]
     flange = carrying.add_body(name="flange", **pose(robot.T_n_flange))
@@ -232,7 +231,7 @@ def _robot_spec(robot: SerialRobot) -> mujoco.MjSpec:
 
 
 def add_links(base: mujoco.MjsBody, robot: SerialRobot) -> list[mujoco.MjsBody]:
-    """Adds the bodies of all links, with their joints, and returns them, (n,)."""
+    """Adds the bodies and joints of all n links to a base, and returns the bodies."""
     table, bodies = robot.kinematics, [base]
     at_zero, axes = table.link_transforms(np.zeros(robot.n)), table.axis_frames
     for i, carrier_index in enumerate(table.carriers.tolist()):
@@ -253,14 +252,14 @@ def _body_on(root: mujoco.MjSpec, label: str) -> mujoco.MjsBody:
 
 
 def joint_centres(robot: SerialRobot) -> Array:
-    """Returns the frames of the arrows and billboards of all joints in link frames, (n, 4, 4)."""
+    """Returns poses of the joints' arrows and billboards in link frames, shape (n, 4, 4), m."""
     at = np.tile(np.eye(4), (robot.n, 1, 1))
     at[:, :3, 3] = robot.offsets
     return np.asarray(robot.kinematics.axis_frames @ at)
 
 
 def _add_geoms(body: Any, geoms: list[dict[str, Any]]) -> None:
-    for geom in geoms:  # collision geoms are added for simulation only
+    for geom in geoms:  # Collision geoms are added only for simulation.
         body.add_geom(group=ROBOT_GROUP, contype=0, conaffinity=0, **geom)
 
 
@@ -271,7 +270,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
     visual.rgba.haze = [*palette.haze, 1]
     visual.quality.shadowsize, visual.quality.offsamples = 2048, 4
     visual.quality.numslices, visual.quality.numstacks = _SLICES, _STACKS
-    visual.quality.numquads = 1  # boxes of 12 triangles: arrows have hundreds of them
+    visual.quality.numquads = 1  # Boxes have 12 triangles, because arrows have hundreds of boxes.
     visual.map.znear, visual.map.zfar = 0.01, 50.0
     _add_sky(root, palette)
     if scene.floor:
@@ -283,7 +282,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
             castshadow=light.cast_shadow,
         )  # fmt: skip
     if not scene.lights:
-        # Far from the axis of a light, MuJoCo's shadows have dark specks.
+        # MuJoCo's shadows have dark specks far from the axis of a light.
         bases = [T[:3, 3] for T in base_frames(scene.robots).values()]
         middle = np.mean(bases, axis=0) if bases else np.zeros(3)
         _add_key_light(root, palette, middle + _KEY_LIGHT)
@@ -308,11 +307,11 @@ def build_surroundings(
     middle: Array,
     size: float,
 ) -> mujoco.MjSpec:
-    """Returns surroundings like those of scenes, without robots.
+    """Builds the default surroundings of scenes, without robots, for an external model.
 
     Args:
         floor: height of the floor, m; None for no floor.
-        middle: middle of the lit region (3,), m.
+        middle: center of the lit region, shape (3,), m.
         size: size of the lit region, m.
     """
     root = mujoco.MjSpec()
@@ -434,7 +433,7 @@ def _add_object(
 
 
 def limb_bodies(name: str) -> list[str]:
-    """Returns the names of the bodies of both links of a limb."""
+    """Returns the body names of the two links of a limb."""
     return [f"limb-{name}", f"limb-{name}_1"]
 
 
@@ -466,7 +465,7 @@ def _mass_shares(path: Path, scale: Any) -> Array:
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
-    """Returns the names of the bodies of each row of a double, base to last link."""
+    """Returns the body names of a double, from base to last link. A path has several rows."""
     rows = 1 if double.path is None else double.path_length
     return [
         [f"double-{double.name}-{row}-link{i}" for i in range(robot.n + 1)] for row in range(rows)
@@ -474,7 +473,7 @@ def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
 
 
 def frame_names(double: Double, robot: SerialRobot) -> list[str]:
-    """Returns the names of the bodies of a double's joint frames; empty for a path."""
+    """Returns the names of the bodies at the link frames of a double; none for a path."""
     if double.path is not None:
         return []
     return [f"double-{double.name}-frame{i + 1}" for i in range(robot.n)]
@@ -483,10 +482,10 @@ def frame_names(double: Double, robot: SerialRobot) -> list[str]:
 def _add_double(
     root: mujoco.MjSpec, double: Double, robot: SerialRobot, T_world_base: Array
 ) -> None:
-    # At zero joint angles; the world hides doubles after compilation. If they were compiled far
-    # away, MuJoCo would scale near plane, far plane and shadows to a scene of a kilometer.
+    # Doubles are compiled at zero joint angles, and the world hides them later. If they were
+    # compiled far away, MuJoCo would scale near plane, far plane and shadows to this distance.
     rows = body_names(double, robot)
-    geoms = drawn_geoms(root, robot, [], _SHRINK)  # problems are reported for the robot itself
+    geoms = drawn_geoms(root, robot, [], _SHRINK)  # Problems are reported for the robot itself.
     at_zero = robot.kinematics.frames(np.zeros(robot.n), T_world_base)
     centres = joint_centres(robot)
     for names, share in zip(rows, path_fade(len(rows)), strict=True):
@@ -496,7 +495,7 @@ def _add_double(
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
             for geom in geoms[i]:
                 body.add_geom(contype=0, conaffinity=0, mass=0, **{**geom, **look})
-    # Separate bodies, since a link that coincides with the robot's is moved out of sight.
+    # Frames need separate bodies, because a link that coincides with the robot is moved away.
     for i, name in enumerate(frame_names(double, robot)):
         body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
         body.add_site(name=name, group=SITE_GROUP)

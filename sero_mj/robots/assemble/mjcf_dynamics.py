@@ -1,7 +1,7 @@
-"""Adds dynamics to a scene for simulation.
+"""Adds dynamics to the spec of a scene for simulation.
 
-Links get masses, joints get motor inertia and friction, and links collide with the world and with
-non-adjacent links. Scenes for display have none of these.
+Links get masses and collision geoms, and joints get motor inertia and friction. Adjacent links do
+not collide. Scenes for display have none of these.
 """
 
 from __future__ import annotations
@@ -24,59 +24,59 @@ from .mjcf_links import excluded_links
 from .parts import RobotPart
 from .robot_dynamics import LinkInertia, RobotDynamics
 
-TIMESTEP = 1e-3  # s, an LWR's cycle
-HULL_GROUP = 4  # a hidden group: links are displayed by their meshes
+TIMESTEP = 1e-3  # control cycle of an LWR, s
+HULL_GROUP = 4  # hidden geom group of collision geoms
 ON = "on_"  # prefix of the names of bodies with fixed children
-PAYLOAD = "payload"  # a body at the flange, massless until the robot picks up a payload
-# Links closer than this, in housing radii, are adjacent: those of one wrist or shoulder share a
-# housing and always overlap.
+PAYLOAD = "payload"  # name of a body at the flange that is massless until it is a payload
+# Distance in housing radii below which links are adjacent. Links of the same wrist or shoulder
+# share a housing and always overlap.
 _ONE_HOUSING = 4.0
-# Limits creep at rest to 1e-6 rad/s, instead of 1e-4 with MuJoCo's default.
+# These values limit creep at rest to 1e-6 rad/s, compared to 1e-4 with MuJoCo's default.
 _FRICTION = {"solref_friction": [0.004, 1.0], "solimp_friction": [0.999, 0.9999, 1e-3, 0.5, 2.0]}
-# Friction of metal, plastic and wood on each other; MuJoCo's default is that of rubber.
+# Friction of metal, plastic and wood on each other. MuJoCo's default is the friction of rubber.
 _SLIDING = [0.3, 0.005, 1e-4]
 _RUBBER = [1.0, 0.005, 1e-4]
-# Contact stiffness rises over 5 mm, as with a rubber skin. With MuJoCo's default, which is stiff
-# immediately, a sliding probe chatters: its force alternates between 0 and twice the mean.
+# Contact stiffness increases over 5 mm, as with a rubber skin. MuJoCo's default is stiff
+# immediately, so the force of a sliding probe would alternate between 0 and twice the mean.
 _SOFT, _SUDDEN = [0.0, 0.95, 0.005, 0.5, 2.0], [0.9, 0.95, 1e-3, 0.5, 2.0]
 _TIME_CONSTANT = [0.03, 1.0]
-COUPLING = "-coupling"  # suffix of a joint's name: the constraint that couples it
-# The maximum deflection of gears and tendons that couple joints is 1e-4 rad.
+COUPLING = "-coupling"  # suffix that names the constraint of a coupled joint
+# These values limit the deflection of gears and tendons that couple joints to 1e-4 rad.
 _GEAR = {"solref": [0.004, 1.0], "solimp": [0.99, 0.9999, 1e-4, 0.5, 2.0]}
-_ON_FLOOR = 1 << 30  # mask of geoms that collide with the floor only
-_FAR = 1e6  # rad or m, for a joint with a limit on one side
+_ON_FLOOR = 1 << 30  # collision mask of geoms that collide only with the floor
+_FAR = 1e6  # replacement for an infinite limit, rad or m
 # Joint limits are soft, like rubber end stops.
 _STOP = {"solref_limit": [0.02, 1.0], "solimp_limit": [0.98, 0.998, 1e-3, 0.5, 2.0]}
 
 
 def set_up_dynamics(root: mujoco.MjSpec, *, has_free: bool = False) -> None:
-    """Sets time step, integrator, solver and contact options.
+    """Sets the time step, integrator and contact options of a spec for simulation.
 
     Args:
-        has_free: whether there are free objects, which may be grasped.
+        has_free: whether the scene has free objects, which robots may grasp.
     """
     root.compiler.boundmass = root.compiler.boundinertia = 0.0
     root.option.timestep = TIMESTEP
     root.option.integrator = mujoco.mjtIntegrator.mjINT_EULER
-    # In soft contacts, friction of pyramidal cones is a third too low.
+    # With pyramidal cones, the friction of soft contacts would be a third too low.
     root.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     if has_free:
-        # Friction is ten times stiffer than the contact. With MuJoCo's soft friction, objects in a
-        # soft grasp slip: a can of 0.2 kg between two fingers by 4 mm/s, now 0.4.
+        # Friction is ten times stiffer than the contact. With MuJoCo's default, objects slip in a
+        # soft grasp. A can of 0.2 kg between two fingers slips by 0.4 mm/s instead of 4 mm/s.
         root.option.impratio = 10.0
     floor = root.geom("floor")
     if floor is not None:
-        # Links mounted in the floor do not collide with it, see _collide.
+        # Links near a base that stands on the floor do not collide with it.
         floor.contype, floor.conaffinity = 0, 1 | _ON_FLOOR
 
 
 def set_friction(geom: Any, coefficient: float) -> None:
-    """Sets the friction of all contacts of a geom."""
+    """Sets the sliding friction coefficient of all contacts of a geom."""
     geom.friction[0], geom.priority = coefficient, 1
 
 
 def set_contact_defaults(model: mujoco.MjModel) -> None:
-    """Sets friction and contact softness of geoms that have MuJoCo's defaults."""
+    """Replaces MuJoCo's default friction and contact stiffness of the geoms of a model."""
     has_default = (model.geom_friction == _RUBBER).all(axis=1) & (model.geom_priority == 0)
     model.geom_friction[has_default] = _SLIDING
     sudden = (model.geom_solimp == _SUDDEN).all(axis=1)
@@ -105,12 +105,12 @@ def add_dynamics(piece: mujoco.MjSpec, robot: SerialRobot, dynamics: RobotDynami
             )  # fmt: skip
             coupling.data[:2] = coupled.offset[i], coupled.ratio[i]
     _add_touching(piece, robot, dynamics.hulls)
-    # Only a fixed body may be massless; this one is fixed to the last link.
+    # This body is fixed to the flange, because a moving body must have a mass.
     piece.body("flange").add_body(name=PAYLOAD)
 
 
 def set_inertia(body: mujoco.MjsBody, dynamics: RobotDynamics | LinkInertia, i: int) -> None:
-    """Sets mass, center and tensor of a body to those of link i, or of the base (0)."""
+    """Sets mass, center of mass and inertia of a body to those of link i (0 for the base)."""
     body.explicitinertial = True
     _fill_inertia(body, dynamics, i)
 
@@ -124,49 +124,49 @@ def _fill_inertia(body: Any, dynamics: RobotDynamics | LinkInertia, i: int) -> N
 def weighed_model(
     model: mujoco.MjModel, robots: Mapping[str, RobotPart], dynamics: Mapping[str, RobotDynamics]
 ) -> mujoco.MjModel:
-    """Returns a copy of a model for display in which only links have masses.
+    """Returns a copy of a model for display in which only robots have masses.
 
-    The masses of the model itself are those of the volumes of its geoms.
+    In the original model, MuJoCo computes masses from the volumes of all geoms.
     """
     weighed = copy.copy(model)
     weighed.body_mass[:], weighed.body_inertia[:] = 0.0, 0.0
-    weighed.body_sameframe[:] = 0  # centers of mass are no longer at origins
+    weighed.body_sameframe[:] = 0  # Centers of mass are no longer at the origins.
     for name, of in dynamics.items():
         for i, body in enumerate(robots[name].bodies.tolist()):
             _fill_inertia(weighed.body(body), of, i)
     weighed.body_subtreemass[:] = weighed.body_mass
-    for body in range(weighed.nbody - 1, 0, -1):  # children come after their parents
+    for body in range(weighed.nbody - 1, 0, -1):  # Children come after their parents.
         weighed.body_subtreemass[weighed.body_parentid[body]] += weighed.body_subtreemass[body]
     return weighed
 
 
 def deflection_joint(name: str) -> str:
-    """Returns the name of the second joint of an elastic joint, between motor and link."""
+    """Returns the name of the spring joint between motor and link of an elastic joint."""
     return f"{name}-deflection"
 
 
 def spring_damping(dynamics: RobotDynamics, timestep: float) -> Array:
-    """Returns the damping of the elastic deflections in the model, (n,), Nm s/rad.
+    """Returns the damping of the springs of elastic joints in the model, shape (n,), Nm s/rad.
 
-    MuJoCo evaluates springs at the start of a step and damping at its end, so a light link on a
-    stiff spring is unstable without damping (an LWR's wrist at 1 kHz). A damping of half the
-    stiffness times the time step makes it stable for any stiffness, link and step, because the
-    spring then acts in the middle of the step. This is the minimum for the declared damping.
+    This is the declared damping, or at least half the stiffness times the time step. MuJoCo
+    evaluates springs at the start of a step and damping at its end, so a light link on a stiff
+    spring would be unstable without damping (for example the wrist of an LWR at 1 kHz). With the
+    minimum damping, the spring acts in the middle of the step, which is always stable.
 
     Source: the theta scheme of Hairer and Wanner, Solving Ordinary Differential Equations II,
-        1996, IV.3, with theta = 1/2 for the spring and the velocity at the step's end.
+        1996, IV.3, with theta = 1/2 for the spring and the velocity at the end of the step.
     """
     return np.maximum(dynamics.joint_damping, 0.5 * timestep * dynamics.joint_stiffness)
 
 
 def is_limited(robot: SerialRobot, i: int) -> bool:
-    """Whether a joint has a lower or upper position limit."""
+    """Whether joint i has a finite lower or upper position limit."""
     limits = robot.position_limits
     return limits is not None and bool(np.isfinite(limits[i]).any())
 
 
 def position_range(robot: SerialRobot, i: int) -> Array:
-    """Returns the position limits (2,) of a limited joint, rad or m; infinite ones become 1e6."""
+    """Returns both position limits of joint i, rad or m. An infinite limit is replaced by 1e6."""
     assert robot.position_limits is not None
     return np.asarray(np.clip(robot.position_limits[i], -_FAR, _FAR))
 
@@ -179,14 +179,14 @@ def _add_deflection(
     dynamics: RobotDynamics,
     i: int,
 ) -> None:
-    # Two joints on one axis, whose angles add up: the motor and the spring.
+    # Motor and spring are two joints on the same axis, and their angles add up.
     name = deflection_joint(robot.names[i])
     deflection = body.add_joint(
         name=name, type=joint.type, axis=joint.axis, pos=joint.pos, limited=False
     )
     deflection.stiffness[0] = dynamics.joint_stiffness[i]
     deflection.damping[0] = spring_damping(dynamics, TIMESTEP)[i]
-    if is_limited(robot, i):  # of the link, not the motor
+    if is_limited(robot, i):  # The limits are those of the link instead of the motor.
         joint.limited = False
         stop = piece.add_tendon(
             name=f"{robot.names[i]}-stop", limited=True, range=position_range(robot, i), **_STOP
@@ -205,7 +205,7 @@ def _add_touching(piece: mujoco.MjSpec, robot: SerialRobot, hulls: list[Array | 
         if declared is not None:
             for geom in declared[i]:
                 own = {**touches, **geom}
-                # With this mask it collides with the floor only.
+                # With this mask, the geom collides only with the floor.
                 own["contype"] = 0 if sunk[i] else own["contype"] or _ON_FLOOR
                 body.add_geom(group=HULL_GROUP, mass=0, **own)
             continue
@@ -231,7 +231,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
-    """Excludes collisions between adjacent links of an attached robot."""
+    """Excludes collisions between adjacent links of a robot that is part of the scene."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
     for i, k in [] if robot.mjcf is None else excluded_links(robot):
         root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
@@ -239,10 +239,10 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
     near = _ONE_HOUSING * robot.housing_radii[0]
     steps, moves = table.step_lengths(), table.moves
     for i, k in combinations(range(robot.n + 1), 2):
-        between = np.flatnonzero(moves[i] != moves[k])  # the joints between i and k
-        # The offsets between the joint where link i ends and the one where link k begins.
+        between = np.flatnonzero(moves[i] != moves[k])  # joints between links i and k
+        # Sum of the offsets between the end of link i and the start of link k.
         offsets = steps[between].sum()
-        if moves[k][moves[i]].all():  # k is distal on the same branch
+        if moves[k][moves[i]].all():  # Link k is distal on the same branch.
             last = len(between) - table.turns_in_carrier
             offsets = steps[between[1:last]].sum()
         if len(between) <= 2 or offsets < near:
@@ -253,13 +253,15 @@ def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
 def exclude_mounted(
     root: mujoco.MjSpec, robots: Mapping[str, SerialRobot], together: Sequence[Sequence[str]]
 ) -> None:
-    """Excludes collisions between links of different robots that are adjacent at a mount.
+    """Excludes collisions between adjacent links of robots that are mounted on each other.
 
-    As within a robot, these have up to two joints between them. They belong to a robot and its
-    carrier, or to two robots on the same link, such as fingers on a palm. `together` lists robots
-    that stand in the world as if on one link.
+    As within a robot, adjacent links have up to two joints between them. They belong to a robot and
+    its carrier, or to two robots on the same link, such as fingers on a palm.
+
+    Args:
+        together: names of robots that stand close together, as if mounted on the same link.
     """
-    # By carrying link: the robots on it, their links near it, and their distances in joints.
+    # Robots near each carrying link, each with its adjacent links and their distances in joints.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
     for name, robot in robots.items():
         if robot.mount is None:

@@ -1,4 +1,4 @@
-"""Elements of MJCF for `MjSpec`: mesh files, poses, generated shapes."""
+"""Creates MJCF elements for an `MjSpec`, such as meshes, materials, poses and generated shapes."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from ..importers.mjcf_file import add_file
 MESH = mujoco.mjtGeom.mjGEOM_MESH
 _CONVEX = mujoco.mjtMeshInertia.mjMESH_INERTIA_CONVEX
 _SHELL = mujoco.mjtMeshInertia.mjMESH_INERTIA_SHELL
-SITE_GROUP = 5  # frames are drawn by decor; MuJoCo shows groups 0 to 2
+SITE_GROUP = 5  # hidden group of frames, as MuJoCo shows groups 0 to 2
 
 
 def pose(T: Array) -> dict[str, Array]:
-    """Returns `pos` and `quat` of an element for a frame (4, 4)."""
+    """Converts a frame (4, 4) to the attributes `pos` and `quat` of an MJCF element."""
     quat = np.empty(4)
     mujoco.mju_mat2Quat(quat, T[:3, :3].ravel())
     return {"pos": T[:3, 3], "quat": quat}
@@ -34,15 +34,18 @@ Hull = Literal["always", "unless flat", "never"]
 def mesh_assets(
     spec: mujoco.MjSpec, name: str, path: Path, scale: ArrayLike, *, hull: Hull = "always"
 ) -> list[tuple[str, Rgba | None]]:
-    """Adds a mesh file to the assets, and returns name and color of a mesh for each of its colors.
+    """Adds a mesh file to the assets of a spec, as one mesh per color of the file.
 
-    A mesh of the same file and scale is reused.
+    If the spec contains a mesh of the same file and scale, it is reused.
 
     Args:
-        path: a file in any format supported by `read_mesh`.
-        scale: m per unit, one number or (3,); negative numbers mirror the mesh.
-        hull: convex hull of the mesh: "always" for collisions, for which flat meshes are
-            rejected; "unless flat" for masses; "never" for visual geometry.
+        path: mesh file in any supported format.
+        scale: unit of the file in m, as one number or shape (3,). Negative numbers mirror the mesh.
+        hull: whether the mesh has a convex hull: "always" for collisions, for which flat meshes
+            are rejected, "unless flat" for masses, or "never" for visual geometry.
+
+    Returns:
+        names and colors of the meshes.
 
     Raises:
         DeclarationError: the file cannot be read.
@@ -51,8 +54,7 @@ def mesh_assets(
     for k, piece in enumerate(read_mesh(path)):
         named = path.with_suffix(piece.ending)
         file = add_file(spec, named, piece.contents, piece.digest)
-        # The mass is that of the hull, because meshes may have holes. Computing hulls takes most of
-        # the time.
+        # The mass is that of the hull, because meshes may have holes. Hulls take most of the time.
         has_hull = hull == "always" or (hull == "unless flat" and not piece.is_flat)
         inertia = _CONVEX if has_hull else _SHELL
         same = [mesh for mesh in spec.meshes if (mesh.file, mesh.inertia) == (file, inertia)]
@@ -69,13 +71,13 @@ def mesh_assets(
 
 
 def hull_asset(spec: mujoco.MjSpec, name: str, corners: Array) -> str:
-    """Adds a mesh of vertices (k, 3), m, to the assets and returns its name."""
+    """Adds the convex hull of vertices (k, 3), m, as a mesh to the assets, and returns `name`."""
     spec.add_mesh(name=name, uservert=corners.ravel(), inertia=_CONVEX)
     return name
 
 
 def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
-    """Returns the attribute of geoms with a finish, and adds its material once.
+    """Returns the material attribute of geoms with a surface finish, and adds the material.
 
     Geoms without a material are plastic.
     """
@@ -91,22 +93,22 @@ def finish_material(spec: mujoco.MjSpec, finish: FinishName) -> dict[str, str]:
     return {"material": finish}
 
 
-# Declared sizes are full lengths, MuJoCo's are half lengths; radii are the same.
+# Declared sizes are full lengths, and sizes in MuJoCo are half lengths. Radii are the same.
 _HALF: dict[str, Any] = {"box": 0.5, "cylinder": np.array([1, 0.5]), "capsule": np.array([1, 0.5])}
 
 
 def half_sizes(kind: str, size: Array) -> Array:
-    """Returns MuJoCo's `size` for a declared size of a shape, m."""
+    """Converts the declared size of a primitive shape to the attribute `size` of a geom, in m."""
     return np.asarray(size * _HALF.get(kind, 1.0))
 
 
 def geom_type(kind: str) -> Any:
-    """Returns MuJoCo's constant for `box`, `sphere`, ..."""
+    """Returns MuJoCo's `mjtGeom` constant for a shape such as `box` or `sphere`."""
     return getattr(mujoco.mjtGeom, f"mjGEOM_{kind.upper()}")
 
 
 def shape_geom(shape: LinkShape, scale: float = 1.0) -> dict[str, Any]:
-    """Returns the attributes of a geom for a generated shape, scaled about its centre."""
+    """Returns the attributes of a geom for a generated shape, scaled about its center."""
     middle = shape.ends.mean(axis=0)
     look = {"type": geom_type(shape.kind), "size": np.atleast_1d(shape.size * scale)}
     if shape.kind == "box":

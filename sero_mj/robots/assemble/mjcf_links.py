@@ -1,7 +1,7 @@
-"""Copies the geoms of robots from MJCF out of the compiled model of their file.
+"""Copies the geoms of a robot in MJCF from the compiled model of its file to the spec of a scene.
 
 Vertices, normals and texture coordinates of meshes, textures of materials, and masks and contact
-parameters of collision geoms are unchanged.
+parameters of collision geoms are copied without changes.
 """
 
 from __future__ import annotations
@@ -33,38 +33,37 @@ _MATERIAL = ("rgba", "emission", "specular", "shininess", "reflectance", "metall
 
 
 def mjcf_tree(robot: SerialRobot) -> MjcfTree:
-    """Returns the robot in the model of its file.
+    """Reads the MJCF model of a robot.
 
-    Raises DeclarationError if it cannot be read, or has a different number of joints.
+    Raises DeclarationError if the model cannot be read or has a different number of joints.
     """
-    from ..importers.mjcf_robot import cached_tree  # imported here because few robots need it
+    from ..importers.mjcf_robot import cached_tree  # Few robots need this import.
 
     tree = cached_tree(robot.mjcf, Path(robot.directory))
     if len(tree.joints) != robot.n:
-        raise mismatch(
-            len(tree.joints), f"{robot.n}, as the robot has", key="mjcf", of="joints in it"
-        )
+        expected = f"{robot.n}, as in the robot declaration"
+        raise mismatch(len(tree.joints), expected, key="mjcf", of="joints in the model")
     return tree
 
 
 def drawn_links(
     root: mujoco.MjSpec, robot: SerialRobot, scope: str = "", shrink: float = 1.0
 ) -> list[list[dict[str, Any]]]:
-    """Returns the attributes of the visible geoms of base and links, in their frames.
+    """Returns the attributes of the visible geoms of the base and of each link, in link frames.
 
-    Names begin with `scope`; sizes are scaled by `shrink` about each link's origin.
+    Names begin with `scope`. Sizes are multiplied by `shrink`, about the origin of each link.
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
     visible = geoms[(model.geom_group[geoms] < _SHOWN_GROUPS) & (model.geom_rgba[geoms, 3] > 0)]
     links: list[list[dict[str, Any]]] = [[] for _ in tree.poses]
-    # If a link has non-colliding geoms, colliding ones of other groups are their collision shapes.
+    # If a link has non-colliding geoms, colliding geoms in other groups are its collision shapes.
     links_of = tree.links[model.geom_bodyid[visible]]
     is_look = (model.geom_contype | model.geom_conaffinity)[visible] == 0
     replaced = np.isin(links_of, links_of[is_look])
     replaced &= ~np.isin(model.geom_group[visible], model.geom_group[visible[is_look]])
     visible = visible[~replaced]
-    if model.nskin or not len(visible):  # geoms under a skin, and robots with collision geoms only
+    if model.nskin or not len(visible):  # Geoms may be under a skin, or be collision geoms only.
         bare = np.setdiff1d(np.arange(len(tree.poses)), tree.links[model.geom_bodyid[visible]])
         hidden = np.isin(tree.links[model.geom_bodyid[geoms]], bare)
         visible = np.union1d(visible, geoms[hidden])
@@ -78,7 +77,7 @@ def drawn_links(
 
 
 def touching_links(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[dict[str, Any]]]:
-    """Returns the collision geoms, with their contact parameters."""
+    """Returns the attributes of the collision geoms of each link, with contact parameters."""
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms
     touches = (model.geom_contype | model.geom_conaffinity)[geoms] > 0
@@ -90,7 +89,7 @@ def touching_links(root: mujoco.MjSpec, robot: SerialRobot) -> list[list[dict[st
 
 
 def excluded_links(robot: SerialRobot) -> list[tuple[int, int]]:
-    """Returns pairs of links, 0 for the base, whose collisions its file excludes."""
+    """Returns index pairs of links whose collisions the MJCF file excludes, 0 for the base."""
     tree = mjcf_tree(robot)
     pairs = []
     for signature in tree.model.exclude_signature.tolist():

@@ -1,4 +1,4 @@
-"""Indices of robots, doubles, joints, frames and smart arrows in a compiled scene."""
+"""Index tables of the robots, doubles, joints, frames and smart arrows of a compiled scene."""
 
 from __future__ import annotations
 
@@ -19,28 +19,28 @@ from ..declared.torque_units import TorqueUnit, torque_units
 from ..kinematics.joint_tree import JointTree
 from .decor_sizes import Sizes
 
-Sites = Callable[[Sequence[str]], Ints]  # ids of sites by name
+Sites = Callable[[Sequence[str]], Ints]  # function that returns the ids of sites by name
 
 _DOUBLE_ARROW_RGBA_SHARE = 0.55  # opacity of a double's arrows
-# Lower bound of the largest torque, so that arrows do not scale with noise: a share of the gravity
-# load of the joint if that is known, else Nm or N.
+# Lower bound of the largest torque, so that arrows do not scale with noise. It is a fraction of the
+# gravity load of the joint if that is known, or else a value in Nm or N.
 _FLOOR_OF_LOAD, _FLOOR = 0.1, 1.0
-_DOUBLE_ARROW_SIZE = 0.85  # both arrows are visible where a double coincides with its robot
+_DOUBLE_ARROW_SIZE = 0.85  # size of a double's arrows, so that those of the robot remain visible
 
 
 @dataclass(frozen=True, eq=False)
 class RobotPart:
-    """Indices of one robot in the compiled model.
+    """The indices of one robot in a compiled model.
 
     Attributes:
-        qpos: index of every joint in `qpos`, (n,).
-        dofs: index of every joint in `qvel`, (n,).
-        mocap: index of its base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
-        bodies: ids of the base and every link, (n + 1,).
+        qpos: indices of the joints in `qpos`, shape (n,).
+        dofs: indices of the joints in `qvel`, shape (n,).
+        mocap: index of the base in `mocap_pos` and `mocap_quat`; -1 for a mounted or free base.
+        bodies: ids of the bodies of the base and the links, shape (n + 1,).
         joints: rows of the robot in the `JointTable` of the world.
-        free: index in `qpos` of position and quaternion of a free base, (7,), or of x, y and yaw of
-            a planar base, (3,); else empty.
-        sizes: sizes of the arrows with `fit_arrows`; None for declared sizes.
+        free: indices in `qpos` of the position and quaternion of a free base, shape (7,), or of x,
+            y and yaw of a planar base, shape (3,). Empty for a fixed or mounted base.
+        sizes: measured sizes of the arrows if `fit_arrows` is true; None for declared sizes.
     """
 
     robot: SerialRobot
@@ -60,15 +60,15 @@ class RobotPart:
 
     @property
     def arrow_width_scales(self) -> Array:
-        """`arrow_width_scale` of each joint, (n,), reduced for joints close to each other."""
+        """Arrow width per torque, shape (n,), reduced for joints that are close to each other."""
         scales = np.full(self.robot.n, self.robot.arrow_width_scale)
         return scales if self.sizes is None else scales * self.sizes.full_width
 
     @property
     def arrow_loads(self) -> Array:
-        """Efforts at which arrows without limit reach their full width, (n,), Nm or N.
+        """Torques at which arrows of joints without a limit have full width, shape (n,), Nm or N.
 
-        Infinite if `arrow_width_scale` sets the width.
+        Values are infinite if `arrow_width_scale` determines the width.
         """
         if self.sizes is None or "arrow_width_scale" in self.robot.model_fields_set:
             return np.full(self.robot.n, np.inf)
@@ -87,7 +87,7 @@ class RobotPart:
         return self.robot.billboard_lines
 
     def base_pose(self, qpos: Array) -> Array:
-        """Returns T_world_base (4, 4) of a free or planar base, translation in m."""
+        """Returns the pose T_world_base of a free or planar base, shape (4, 4), in m."""
         at = qpos[self.free]
         if self.robot.free_base != "planar":
             return frame(rotation_from_quat(at[3:]), at[:3])
@@ -108,36 +108,35 @@ class RobotPart:
 
     @property
     def own_link_names(self) -> list[str]:
-        """Names of base and links in the file of the robot, or `link_names`."""
+        """Names of the base and the links in the original robot file, or else `link_names`."""
         own = self.robot.link_names
         return self.link_names if own is None else [f"{self.robot.name}/{link}" for link in own]
 
     @property
     def chain(self) -> Ints:
-        """Indices of its joints that move the flange, in order from the base."""
+        """Indices of the robot's joints that move the flange, starting at the base."""
         return self.robot.flange_joints
 
     @property
     def reach(self) -> float:
-        """Sum of the link lengths of the longest branch, m; 1 if it is zero."""
+        """Sum of the link lengths of the longest branch in m, or 1 if this sum is zero."""
         table = self.kinematics
         return float(table.path_lengths(table.step_lengths()).max()) or 1.0
 
 
 @dataclass(frozen=True, eq=False)
 class DoublePart:
-    """Indices of one double in the compiled model.
+    """The indices of one double in a compiled model. A path is drawn by several rows of bodies.
 
     Attributes:
-        mocap: index in `mocap_pos` of the base and every link, (rows, n + 1); a path has several
-            rows.
-        bodies: ids of base and links, (rows, n + 1).
-        frames: index in `mocap_pos` of the frame of every link, (n,), which is also set for hidden
-            links; empty for a path.
-        path: joint angles of every row, (rows, n); None for a single double.
-        joints: rows of the double in the `JointTable` of the world; empty for a path.
-        below: the double of the carrier of its robot, if both belong to one group; this double is
-            mounted on it while it has a pose.
+        mocap: indices in `mocap_pos` of the base and the links, shape (rows, n + 1).
+        bodies: ids of the bodies of the base and the links, shape (rows, n + 1).
+        frames: indices in `mocap_pos` of the link frames, shape (n,), which are also set for hidden
+            links. Empty for a path.
+        path: joint angles of the rows of a path, shape (rows, n), rad or m; None for a single pose.
+        joints: rows of the double in the `JointTable` of the world. Empty for a path.
+        below: name of the double on which this double is mounted while that double has a pose, or
+            None. Both belong to the double of a group.
     """
 
     double: Double
@@ -151,7 +150,7 @@ class DoublePart:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the model contains its bodies; otherwise decor draws it."""
+        """Whether the model contains the bodies of the double. If not, decor draws the double."""
         return self.bodies.size > 0
 
     @property
@@ -203,26 +202,27 @@ Owner = RobotPart | DoublePart
 
 
 def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
-    """Returns the index of the robot of every body, (nbody,), or -1.
+    """Returns the index of the robot to which each body belongs, shape (nbody,), or -1.
 
-    A robot includes objects fixed to it, but not robots mounted on it.
+    Objects that are fixed to a robot belong to it. Robots that are mounted on it do not.
     """
     owner = np.full(model.nbody, -1, np.intp)
     for number, part in reversed(list(enumerate(robots.values()))):
         owner[[*part.bodies, part.flange_body]] = number
     owner[0] = -1
-    for body in np.flatnonzero(owner < 0)[1:]:  # parents come before their children
+    for body in np.flatnonzero(owner < 0)[1:]:  # Parents come before their children.
         owner[body] = owner[model.body_parentid[body]]
     return owner
 
 
 @dataclass(frozen=True, eq=False)
 class DrawnDouble:
-    """A double drawn from another state of the same model.
+    """A double that is not compiled into the model, but drawn from another state of the model.
 
     Attributes:
-        data: the other state, after forward kinematics.
-        opacity: factor for every geom of the model, (ngeom,); 0 for hidden geoms.
+        double: name of the double.
+        data: state of the model in the pose of the double, after forward kinematics.
+        opacity: opacity factors of the geoms of the model, shape (ngeom,); 0 for hidden geoms.
     """
 
     double: str
@@ -234,28 +234,30 @@ class DrawnDouble:
 
 @dataclass(frozen=True, eq=False)
 class JointTable:
-    """Arrays over all N joints: those of the robots, then those of their doubles.
+    """Properties of all N joints of a world, first those of robots, then those of doubles.
+
+    All arrays have the shape (N,), unless stated otherwise.
 
     Attributes:
-        owner: index in the world's `owners`.
-        limb: number of its limb, unique among all owners.
-        of_robot: number of joints of robots; the others belong to doubles.
-        centre_site: site at the center of its arrow and billboard, z along the joint axis; a
-            row of `site_xpos` of the result of `World.state`.
-        qpos: index in `qpos` of the joints of robots, (of_robot,).
-        angle_slots: index in `userdata` of the joint angles of doubles, (N - of_robot,).
-        slots: for each per-joint input, index in `userdata` of its value; -1 if the owner of the
-            joint does not have the input.
-        has: index in `userdata` of the flags of these inputs and of `joint_angles`; -1 as above.
-        torque_limit: Nm or N, infinite for no limit. If `is_largest`, the largest torque so far.
-        is_largest: whether `note_largest` updates `torque_limit`, (N,).
-        torque_units: display units of torques, N; one prefix for all joints of an owner.
-        scaled_with: index of the joint with the shared largest torque, (N,): for joints of doubles,
-            that of their robot.
-        arrow_quantity: index in `ARROW_QUANTITIES` of the quantity that its arrow initially
-            shows.
-        arrow_load: Nm or N at which the arrow of a joint without limit reaches its full width;
-            infinite if `arrow_width_scale` sets the width.
+        owner: index of the robot or double in `owners` of the world.
+        limb: number of the limb, unique among all owners.
+        of_robot: number of joints of robots. All other joints belong to doubles.
+        centre_site: row in `site_xpos` of the center of the arrow and billboard, with z along the
+            joint axis.
+        qpos: indices in `qpos` of the joints of robots, shape (of_robot,).
+        angle_slots: indices in `userdata` of the joint angles of doubles, shape (N - of_robot,).
+        slots: index in `userdata` of the value of each per-joint input, by input; -1 if the owner
+            does not have the input.
+        has: index in `userdata` of the flag of each of these inputs and of `joint_angles`, or -1.
+        torque_limit: torque limit, Nm or N, infinite for no limit. If `is_largest` is true, this is
+            the largest torque so far.
+        is_largest: whether `note_largest` updates `torque_limit`.
+        torque_units: display units of torques, with the same prefix for all joints of an owner.
+        scaled_with: row of the joint that shares its largest torque. For a joint of a double, this
+            is the joint of the robot.
+        arrow_quantity: index in `ARROW_QUANTITIES` of the initial quantity of the arrow.
+        arrow_load: torque at which the arrow of a joint without a limit has full width, Nm or N,
+            infinite if `arrow_width_scale` determines the width.
     """
 
     names: list[str]
@@ -281,13 +283,13 @@ class JointTable:
     arrow_alpha: Array
 
     def angles(self, data: mujoco.MjData) -> Array:
-        """Returns the angles of all joints, (N,), rad or m; zero for doubles without angles."""
+        """Returns the angles of all joints, shape (N,), rad or m, or zero for missing angles."""
         return np.concatenate([data.qpos[self.qpos], data.userdata[self.angle_slots]])
 
     def note_largest(self, torques: Array, max_factor: float) -> None:
-        """Raises `torque_limit` of joints with `is_largest` to larger torques, (N,).
+        """Updates `torque_limit` of joints with `is_largest` to larger torques, shape (N,).
 
-        Torques above `max_factor` times the limit so far are implausible and ignored.
+        Torques above `max_factor` times the largest torque so far are implausible and ignored.
         """
         limit, size = self.torque_limit, np.abs(torques)
         with np.errstate(invalid="ignore"):
@@ -299,14 +301,14 @@ class JointTable:
 
 @dataclass(frozen=True, eq=False)
 class FrameTable:
-    """Arrays over all M named frames.
+    """Properties of all named frames of a world, with one entry per frame.
 
     Attributes:
-        names: e.g. `lwr/link3`, M.
-        owner: index in the world's `owners` of the robot or double whose axes toggle applies; -1
-            for a frame with its own toggle.
-        shown: initial state of its own toggle.
-        has: index in `userdata` of the flag that its pose is known; -1 if it is always known.
+        names: names of the frames, for example `lwr/link3`.
+        owner: index in `owners` of the robot or double whose axes toggle applies; -1 for a frame
+            with its own toggle.
+        shown: initial state of the frame's own toggle.
+        has: index in `userdata` of the flag that the pose is known; -1 if it is always known.
     """
 
     names: list[str]
@@ -320,13 +322,13 @@ class FrameTable:
 
 @dataclass(frozen=True, eq=False)
 class ArrowTable:
-    """Arrays over all K smart arrows.
+    """Properties of all K smart arrows of a world, with one entry per arrow.
 
     Attributes:
-        components_site: site of the frame of its components; -1 for the world.
-        frames: rows in the `FrameTable` of the frame at which it acts and of the frame of its
-            components, (K, 2); -1 for a point and for the world.
-        slots: indices in `userdata` of its components, (K, 3).
+        components_site: site of the frame in which the components are expressed; -1 for the world.
+        frames: rows in the `FrameTable` of the frame at which the vector acts and of the frame of
+            its components, shape (K, 2); -1 for a point and for the world.
+        slots: indices in `userdata` of the components, shape (K, 3).
         has: index in `userdata` of the flag that data was received.
     """
 

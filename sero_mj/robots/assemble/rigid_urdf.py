@@ -1,4 +1,4 @@
-"""Converts a URDF without joints, such as a table or a tool, to MJCF for an object of a scene."""
+"""Converts a URDF without joints, such as a table or a tool, to MJCF for a scene object."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ log = logging.getLogger(__name__)
 
 
 def urdf_piece(path: Path) -> mujoco.MjSpec:
-    """Returns the visual and collision geometry of a URDF file without joints.
+    """Returns a spec with the visual and collision geometry of a URDF file without joints.
 
-    Raises DeclarationError if the file cannot be read, or has joints.
+    Raises DeclarationError if the file cannot be read or has joints.
     """
-    from ..importers.urdf import read_rigid_urdf  # imported here because few scenes need it
+    from ..importers.urdf import read_rigid_urdf  # Few scenes need this import.
 
     described = read_rigid_urdf(path)
     for warning in described.warnings:

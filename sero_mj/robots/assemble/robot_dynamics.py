@@ -1,7 +1,7 @@
 """`RobotDynamics`: masses, friction and elasticity of a robot, declared or estimated.
 
-Undeclared link inertias are estimated from mesh hulls or generated shapes: MuJoCo computes volumes,
-centers of mass and tensors, and the density is declared or `LINK_DENSITY`.
+If no link inertias are declared, MuJoCo computes volumes, centers of mass and tensors from mesh
+hulls or generated shapes. The density is the declared one, or `LINK_DENSITY`.
 """
 
 from __future__ import annotations
@@ -21,38 +21,38 @@ from ..declared.robot import SerialRobot
 from .link_geometry import drawn_geoms, generated
 from .mjcf_elements import MESH, hull_asset, shape_geom
 
-GRAVITY = 9.81  # m/s2, MuJoCo's default
+GRAVITY = 9.81  # MuJoCo's default, m/s2
 EARTH: Array = np.array([0.0, 0.0, -GRAVITY])  # m/s2
 
-# Estimates in proportion to the rated effort of a joint: its torque limit, or _STRENGTH times the
-# effort that holds the stretched arm (3.8 times for joint 2 of the LWR). Per Nm of torque limit the
-# LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction and 0.005 to
-# 0.009 Nm viscous friction at 1 rad/s.
+# Estimates are proportional to the rated torque of a joint, which is its torque limit, or _STRENGTH
+# times the torque that holds the stretched arm (3.8 times for joint 2 of the LWR). Per Nm of torque
+# limit, the LWR has 0.008 to 0.02 kg m2 motor inertia, 0.0013 to 0.005 Nm Coulomb friction and
+# 0.005 to 0.009 Nm viscous friction at 1 rad/s.
 _STRENGTH = 3.5
 _MOTOR_INERTIA = 0.012
 _COULOMB = 0.004
 _VISCOUS = 0.008
-_FIRST_MODE = 10.0  # Hz, motor against held link
-_DAMPING_RATIO = 0.03  # of that mode
-_LARGE = 1.1  # radius of gyration over size of the geometry, above which an inertia is reported
-_STEEL = 7800.0  # kg/m3; no link is denser
-# Meshes thinner than this share of their length have no hull; sheets of 1 mm replace them.
-_FLATNESS, _THICKNESS = 1e-5, 0.5e-3  # thickness: half of the sheet, m
-_MIN_MASS = 1e-6  # kg; MuJoCo rejects bodies of smaller mass
-# Links declared without mass, which MuJoCo rejects, get this share of the mass of the robot and
-# this radius of gyration, m, or the minimum of MuJoCo, kg and kg m2.
+_FIRST_MODE = 10.0  # eigenfrequency of the motor if the link is fixed, Hz
+_DAMPING_RATIO = 0.03  # damping ratio of this mode
+_LARGE = 1.1  # ratio of radius of gyration to geometry size above which an inertia is reported
+_STEEL = 7800.0  # maximum density of a link, kg/m3
+# Relative thickness below which a mesh has no hull, and half the thickness (m) of its replacement.
+_FLATNESS, _THICKNESS = 1e-5, 0.5e-3
+_MIN_MASS = 1e-6  # minimum mass of a body, which MuJoCo requires, kg
+# MuJoCo rejects massless links. They get this fraction of the mass of the robot and this radius of
+# gyration in m, or the minimum values of MuJoCo in kg and kg m2.
 _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
-# The largest arms on the market reach 4.7 m and weigh 4.7 t; few exceed these values.
+# Few robots exceed these values. The largest arms on the market reach 4.7 m and weigh 4.7 t.
 _LARGE_REACH, _LARGE_MASS = 4.0, 1500.0  # m, kg
-# Ratio of the torque that holds the stretched arm to the torque limit; robots have 0.2 to 1.3.
+# Suspicious ratio of the torque that holds the stretched arm to the torque limit (usual 0.2 to 1.3)
 _LARGE_SHARE = 10.0
-# Strokes from the first value, m, are compared with the reach without strokes, of which arms on
-# rails have up to 6; strokes above the second value are always reported.
+# Strokes beyond the first value (m) are reported if they exceed the reach without strokes by a
+# factor of more than the third value (arms on rails have up to 6), or the second value (m).
 _LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0
 
 
 class LinkInertia(NamedTuple):
-    """Inertias of the base and every link, as in `RobotDynamics`."""
+    """The masses, centers of mass and inertia tensors of a robot, as in `RobotDynamics`."""
 
     masses: Array
     centers: Array
@@ -61,19 +61,20 @@ class LinkInertia(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class RobotDynamics:
-    """Parameters of the equations of motion of a robot, in the frames of the DH rows.
+    """The parameters of the equations of motion of a robot, in link frames.
 
     Attributes:
-        masses: masses of the base and the links (n + 1,), kg.
-        centers: centers of mass, (n + 1, 3), m.
-        tensors: about the centers of mass, (n + 1, 3, 3), kg m2.
-        motor_inertias: reflected to the joints, (n,), kg m2.
-        viscous_friction: on the motor side of the torque sensor, (n,), Nm s/rad.
-        coulomb_friction: on the motor side of the torque sensor, (n,), Nm.
-        joint_stiffness: stiffness of the joints (n,), Nm/rad.
-        joint_damping: damping of the joints (n,), Nm s/rad.
-        estimated: keys of `[dynamics]` that are estimated.
-        hulls: vertices of the convex hull of each link, (k, 3), m; None without meshes.
+        masses: masses of the base and the links, shape (n + 1,), kg.
+        centers: centers of mass, shape (n + 1, 3), m.
+        tensors: inertia tensors about the centers of mass, shape (n + 1, 3, 3), kg m2.
+        motor_inertias: motor inertias reflected to the joints, shape (n,), kg m2.
+        viscous_friction: viscous friction on the motor side, shape (n,), Nm s/rad.
+        coulomb_friction: Coulomb friction on the motor side, shape (n,), Nm.
+        joint_stiffness: joint stiffness, shape (n,), Nm/rad.
+        joint_damping: damping in parallel with the stiffness, shape (n,), Nm s/rad.
+        estimated: keys of `[dynamics]` whose values are estimates.
+        hulls: vertices of the convex hulls of the links, shape (k, 3), m; None for links without
+            meshes.
     """
 
     masses: Array
@@ -89,10 +90,10 @@ class RobotDynamics:
 
 
 def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
-    """Returns the declared parameters, and estimates of all others.
+    """Returns the declared dynamic parameters of a robot, and estimates of undeclared parameters.
 
     Raises:
-        DeclarationError: a mesh file cannot be read, or joints are elastic without an inertia.
+        DeclarationError: a mesh file cannot be read, or an elastic joint has no motor inertia.
         ValueError: MuJoCo cannot compile a mesh.
     """
     if robot.mirrored:
@@ -120,8 +121,8 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
     coulomb = declared_or("coulomb_friction", _COULOMB * limits)
     if robot.elastic_joints and (motor <= 0).any():
         message = (
-            f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a motor inertia above 0 "
-            "for a robot with elastic_joints"
+            f"joint {int(np.argmax(motor <= 0)) + 1}: found 0; expected a positive motor inertia, "
+            "because elastic_joints is true"
         )
         raise Problem("dynamics.motor_inertias", message).error()
     stiffness = declared_or("joint_stiffness", motor * (2 * np.pi * _FIRST_MODE) ** 2)
@@ -132,7 +133,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
 
 
 def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
-    """Returns a text with the mass of a robot, and links without a mass."""
+    """Returns a text about the mass of a robot and its links without a mass."""
     text = f"{dynamics.masses.sum():.4g} kg"
     declared = robot.dynamics.masses
     if declared is None or "masses" in dynamics.estimated:
@@ -140,15 +141,15 @@ def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
         shapes = f"estimated from the link shapes at {density:g} kg/m3"
         return f"{text}, {shapes} (no mass is declared)"
     none = [link_name(k) for k in np.flatnonzero(declared == 0).tolist()]
-    return f"{text}, as declared" + (f"; {', '.join(none)}: without a mass" if none else "")
+    return f"{text}, as declared" + (f" (without mass: {', '.join(none)})" if none else "")
 
 
 def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
-    """Returns a text for every link with an inertia that is too large for its geometry.
+    """Returns a message for each link whose inertia is too large for its geometry.
 
-    The moment of inertia of a mass about an axis through its center is at most m r^2, where r is
-    the distance of its farthest point. Larger inertias are common: templates of URDF contain those
-    of a box with sides of 1 m.
+    The moment of inertia about an axis through the center of mass is at most m r^2, where r is the
+    distance of the farthest point. Larger values are common, because URDF templates contain the
+    inertia of a box with sides of 1 m.
     """
     largest = np.linalg.eigvalsh(dynamics.tensors)[:, -1]
     lines = []
@@ -167,7 +168,7 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
 
 
 def about_units(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
-    """Returns a sentence for each mass or length that is probably in g or mm."""
+    """Returns a question for each mass or length that is probably in g or mm."""
     notes = []
     names, types = robot.names, robot.types
     limits = robot.plausible_limits
@@ -209,7 +210,7 @@ def _mirrored(dynamics: RobotDynamics) -> RobotDynamics:
 
 
 def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
-    """Returns the declared inertias of base and links, or None without declared masses."""
+    """Returns the declared inertias of a robot, or None if no masses are declared."""
     if robot.mirrored:
         links = declared_inertia(robot.model_copy(update={"mirrored": False}))
         S = MIRROR[:3, :3]
@@ -235,7 +236,7 @@ def declared_inertia(robot: SerialRobot) -> LinkInertia | None:
 
 
 def holding_efforts(robot: SerialRobot, links: LinkInertia) -> Array:
-    """Returns the efforts that hold the arm, stretched horizontally from each joint, (n,)."""
+    """Returns torques (n,) that hold the arm if it is stretched horizontally from each joint."""
     table = robot.kinematics
     along = table.path_lengths(table.distances())
     gyration = np.sqrt(np.trace(links.tensors, axis1=1, axis2=2) / links.masses)
@@ -252,7 +253,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     owners: list[int] = []
     problems: list[Problem] = []
     places: list[Array] = []
-    # Without hulls, MuJoCo stores vertices in another frame, with rounding that would change runs.
+    # For meshes without hulls, MuJoCo stores vertices in another frame. Rounding would change runs.
     for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)
@@ -276,10 +277,10 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
     density = min(robot.dynamics.density, _STEEL)
     root = mujoco.MjSpec()
     root.compiler.boundmass, root.compiler.boundinertia = _MIN_MASS, 1e-12
-    # The mass does not depend on the stroke of a prismatic joint, which sets the length of its rod.
+    # The stroke determines the length of a rod, but the mass must not depend on the stroke.
     robot = robot.model_copy(update={"position_limits": None})
     drawn = drawn_geoms(mujoco.MjSpec(), robot, [])
-    others = generated(robot)  # for links without geometry
+    others = generated(robot)  # shapes for links without geometry
     for i, hull in enumerate(hulls):
         body = root.worldbody.add_body(name=f"link{i}")
         shapes = [geom for geom in drawn[i] if geom["type"] != MESH]
@@ -299,7 +300,7 @@ def _estimated_links(robot: SerialRobot, hulls: list[Array | None]) -> LinkInert
 
 
 def _corners(model: mujoco.MjModel, mesh: int) -> Array:
-    # MuJoCo stores vertices relative to the center of the mesh, not in the frame of the file.
+    # MuJoCo stores vertices in a frame at the center of the mesh instead of the frame of the file.
     start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
     axes = frames.rotation_from_quat(model.mesh_quat[mesh])
     corners = model.mesh_vert[start : start + count].astype(np.float64)
@@ -316,13 +317,13 @@ def _hull(cloud: Array) -> Array:
     return _cached_hull(np.ascontiguousarray(cloud).tobytes())
 
 
-@lru_cache(maxsize=128)  # in sweeps, hulls take half of the time to compile a world
+@lru_cache(maxsize=128)  # In sweeps, hulls take half of the time to compile a world.
 def _cached_hull(cloud: bytes) -> Array:
     root = mujoco.MjSpec()
     points = np.frombuffer(cloud).reshape(-1, 3)
     root.worldbody.add_geom(type=MESH, meshname=hull_asset(root, "hull", points))
     model = root.compile()
-    # Layout of mesh_graph: number of corners and faces, an address and a vertex per corner, ...
+    # mesh_graph starts with the numbers of corners and faces, and an address and vertex per corner.
     graph = model.mesh_graph[model.mesh_graphadr[0] :]
     count = int(graph[0])
     hull = np.asarray(_corners(model, 0)[graph[2 + count : 2 + 2 * count]])

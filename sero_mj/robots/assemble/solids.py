@@ -1,4 +1,4 @@
-"""Visibility in a compiled model: which geoms are shown, and what they enclose."""
+"""Finds the visible geoms of a compiled model, their boxes, and what they hide."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ from ...base.frames import Array, Bools, Ints
 
 _SHOWN_GROUPS = 3  # MuJoCo shows the groups 0 to 2
 _ROUND = np.linspace(0.0, 2 * np.pi, 16, endpoint=False)
-_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # of a box, in halves of its lengths
-_MAX_CROSSINGS = 24  # of surfaces along a ray
-_SKIN_DISTANCE = 2.5  # maximum distance of faces of skins, over the largest radius
-_STEP = 1e-6  # beyond a surface, over the largest radius
+_CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))  # corners of a box in half lengths
+_MAX_CROSSINGS = 24  # maximum number of surfaces that a ray crosses
+_SKIN_DISTANCE = 2.5  # maximum distance of skin faces, relative to the largest radius
+_STEP = 1e-6  # step of a ray beyond a surface, relative to the largest radius
 _ALL = int(mujoco.mjtCatBit.mjCAT_ALL)
-_EXTRA_GEOMS = 100  # geoms that MuJoCo adds to those of a model
+_EXTRA_GEOMS = 100  # number of geoms that MuJoCo adds to those of a model
 
 
 def is_shown(model: mujoco.MjModel) -> Bools:
-    """Returns whether each geom is visible by default, (ngeom,)."""
+    """Returns a mask of the geoms that are visible by default, shape (ngeom,)."""
     return np.asarray((model.geom_group < _SHOWN_GROUPS) & (model.geom_rgba[:, 3] > 0))
 
 
 def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> Ints:
-    """Returns the visible geoms of bodies and `trunk`, or all if none is visible, (k,)."""
+    """Returns the ids of the visible (or else all) geoms of bodies, and of the geoms `trunk`."""
     mine = np.isin(model.geom_bodyid, bodies) & (model.geom_bodyid > 0)
     if trunk is not None:
         mine[trunk] = True
@@ -35,7 +35,7 @@ def geoms_of(model: mujoco.MjModel, bodies: Ints, trunk: Ints | None = None) -> 
 
 
 def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array]:
-    """Returns the minima and maxima of axis-aligned boxes about all geoms, (ngeom, 3) each, m."""
+    """Returns minima and maxima of axis-aligned boxes around all geoms, shapes (ngeom, 3), m."""
     rotation = data.geom_xmat.reshape(-1, 3, 3)
     centre = data.geom_xpos + np.einsum("nij,nj->ni", rotation, model.geom_aabb[:, :3])
     half = np.einsum("nij,nj->ni", np.abs(rotation), model.geom_aabb[:, 3:])
@@ -43,7 +43,7 @@ def geom_boxes(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[Array, Array
 
 
 def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None = None) -> Array:
-    """Returns the corners of oriented boxes about geoms, (k, 8, 3), m; None for all geoms."""
+    """Returns corners of oriented boxes around (default: all) geoms, shape (k, 8, 3), m."""
     which = slice(None) if geoms is None else geoms
     rotation = data.geom_xmat.reshape(-1, 3, 3)[which]
     box = model.geom_aabb[which]
@@ -54,20 +54,20 @@ def geom_corners(model: mujoco.MjModel, data: mujoco.MjData, geoms: Bools | None
 def lowest_height(model: mujoco.MjModel, data: mujoco.MjData, geoms: Ints) -> float:
     """Returns the height of the lowest point of geoms, m.
 
-    It is exact for meshes; other geoms are approximated by axis-aligned boxes.
+    The height is exact for meshes. Other geoms are approximated by axis-aligned boxes.
     """
     heights = geom_boxes(model, data)[0][:, 2]
     for geom in geoms[model.geom_type[geoms] == mujoco.mjtGeom.mjGEOM_MESH]:
         mesh = int(model.geom_dataid[geom])
         start, count = model.mesh_vertadr[mesh], model.mesh_vertnum[mesh]
-        upwards = data.geom_xmat[geom, 6:]  # in the geom's frame
+        upwards = data.geom_xmat[geom, 6:]  # vertical direction in the frame of the geom
         rise = model.mesh_vert[start : start + count] @ upwards
         heights[geom] = data.geom_xpos[geom, 2] + rise.min()
     return float(heights[geoms].min())
 
 
 class Solids:
-    """The visible geoms and skins of a model, for data after `mj_fwdPosition`."""
+    """The visible geoms and skins of a model, in a pose that `mj_fwdPosition` has computed."""
 
     def __init__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         self._model, self._data = model, data
@@ -75,14 +75,18 @@ class Solids:
         self._groups = np.zeros(mujoco.mjNGROUP, np.uint8)
         self._groups[:_SHOWN_GROUPS] = 1
         if not (moving & is_shown(model)).any() and not model.nskin:
-            self._groups[:] = 1  # a model of collision geoms only
-        self._geom, self._normal = np.full(1, -1, np.int32), np.zeros(3)  # of the last ray
+            self._groups[:] = 1  # The model has only collision geoms.
+        self._geom, self._normal = np.full(1, -1, np.int32), np.zeros(3)  # results of the last ray
         self._skins = _posed_skins(model, data) if model.nskin else []
 
     def hidden_shares(self, centre: Array, axis: Array, radii: Array, height: float) -> Array:
-        """Returns the share of each ring about an axis that is inside geoms or skins, (k,).
+        """Returns the fractions of rings about an axis that geoms or skins hide, shape (k,).
 
-        The rings have ascending radii (k,), m, and a height, m, along the axis.
+        Args:
+            centre: center of the rings, shape (3,), m.
+            axis: unit vector of the axis, shape (3,).
+            radii: ascending radii of the rings, shape (k,), m.
+            height: height of the rings along the axis, m.
         """
         side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
         side /= np.linalg.norm(side)
@@ -91,9 +95,9 @@ class Solids:
         starts = centre + np.array([[-height / 2], [0.0], [height / 2]]) * axis
         directions = np.cos(_ROUND)[:, None] * side + np.sin(_ROUND)[:, None] * other
         reach, count = float(radii[-1]), len(_ROUND) * len(starts)
-        spans: list[tuple[int, float, float]] = []  # ray, and the interval in which it is inside
+        spans: list[tuple[int, float, float]] = []  # rays, with intervals inside a geom or skin
         for ray, (direction, start) in enumerate(product(directions, starts)):
-            entered: dict[int, float] = {}  # where the ray last entered each geom or skin
+            entered: dict[int, float] = {}  # last entry point of the ray by geom or skin
             for what, at, is_exit in self._crossings(start, direction, reach, skins):
                 if is_exit:
                     spans.append((ray, entered.get(what, 0.0), at))

@@ -1,7 +1,7 @@
-"""`World`: a compiled scene with index arrays of its robots, doubles, frames and inputs.
+"""`World`: a compiled scene with index tables of its robots, doubles, frames and inputs.
 
 Displayed values without a field in `MjData` are stored in named slots of `MjData.userdata`, which
-copies, history and recordings include. `mj_resetData` sets them to zero.
+is part of copies, history and recordings. `mj_resetData` sets these values to zero.
 """
 
 from __future__ import annotations
@@ -35,20 +35,21 @@ from .world_view import SET_BY_PROGRAM, SET_BY_SOURCE, WorldView
 
 log = logging.getLogger(__name__)
 
-_IMPLAUSIBLE_REACH = 20.0  # m; longer than any robot arm
-_ON_FLOOR = 1e-6  # m; rounding
+_IMPLAUSIBLE_REACH = 20.0  # longer than the reach of any robot arm, m
+_ON_FLOOR = 1e-6  # maximum rounding error of the height, m
 
 
 class World(WorldView):
-    """A compiled scene.
+    """A compiled scene for display or simulation.
 
     Args:
-        dynamics: overrides the declared dynamics of the robots if `dynamic`.
+        dynamic: whether the model is for simulation instead of display only.
+        dynamics: dynamics of the robots by name, for simulation (default: as declared).
 
     Attributes:
-        free_objects: indices in `qpos` of the pose of each free object, (7,), by name: position,
-            then quaternion with the scalar first; empty unless `dynamic`.
-        dynamics: by robot; empty unless `dynamic`.
+        free_objects: indices in `qpos` of the position and quaternion (scalar first) of each free
+            object, shape (7,), by name. Empty if `dynamic` is false.
+        dynamics: dynamics of the robots by name. Empty if `dynamic` is false.
 
     Raises:
         DeclarationError: MuJoCo cannot compile the scene.
@@ -63,7 +64,7 @@ class World(WorldView):
     ) -> None:
         self.scene = scene
         self.dynamic = dynamic
-        problems = scene.problems()  # checked again, since entries may have been added to the scene
+        problems = scene.problems()  # Entries may have been added since the last check.
         if problems:
             raise DeclarationError(scene.located(problems))
         _warn_of_lengths(scene)
@@ -77,11 +78,11 @@ class World(WorldView):
         self.model = _compile(root, scene)
         if dynamic:
             set_contact_defaults(self.model)
-            # Report instability instead of resetting.
+            # Instability is reported instead of resetting the simulation.
             self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
         if scene.doubles:
             self._measure_without_doubles()
-            # Doubles cast no shadow: a shadow map takes as long as the image.
+            # Doubles cast no shadows, because a shadow map takes as long as the image.
             self.model.geom_castshadow[self.model.geom_group == DOUBLE_GROUP] = 0
         self.robots = self._find_robots()
         self._measure_arrows()
@@ -110,9 +111,9 @@ class World(WorldView):
         return data
 
     def physics_model(self) -> mujoco.MjModel:
-        """Returns a model for physics, without visual geometry.
+        """Returns a model without visual geometry, which is faster to simulate.
 
-        It moves exactly as `model`, with the same bodies, joints and sites, in less time.
+        It has the same bodies, joints and sites as `model`, and moves in exactly the same way.
         """
         spec, model = self._spec.copy(), self.model
         touching = (model.geom_contype | model.geom_conaffinity) > 0
@@ -121,10 +122,10 @@ class World(WorldView):
                 spec.delete(geom)
         bare = spec.compile()
         bare.opt.disableflags = model.opt.disableflags
-        if len(set(bare.dof_treeid.tolist())) <= 1:  # a single island anyway
+        if len(set(bare.dof_treeid.tolist())) <= 1:  # There is only one island.
             bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         bare.opt.timestep, bare.opt.gravity = model.opt.timestep, model.opt.gravity
-        # Values set or changed after compilation.
+        # These values may have changed after compilation.
         for name in dir(model):
             kind = name.partition("_")[0]
             if kind not in ("dof", "jnt", "eq", "geom") and name not in _MASSES:
@@ -157,24 +158,24 @@ class World(WorldView):
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
             self.set_declared(data, frame, ("frame",))
-        if self.owners:  # declared values are not set by a program
+        if self.owners:  # A program has not set the declared values.
             flags = [*self.flags.values()]
             data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
         mujoco.mj_forward(self.model, data)
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input; call `data.drive.place` afterwards to move the frames.
+        """Sets an input of the scene. Call `data.drive.place` afterwards to move the frames.
 
         Args:
-            target: `name.input`, e.g. `lwr.joint_angles`; see `inputs`. If the name is that of a
-                group, the values are divided among its robots, as the values of a route.
-            values: array (n,) or (3,), frame (4, 4), or one number. In an input that is only
-                displayed, NaN and numbers beyond `Input.limits` mean no data.
+            target: name of the input, for example `lwr.joint_angles`. If it is an input of a group,
+                the values are distributed to the robots of the group.
+            values: array of shape (n,) or (3,), frame of shape (4, 4), or one number. In inputs
+                that are only displayed, NaN and numbers beyond `Input.limits` mean no data.
 
         Raises:
-            UnknownName: no such name or input.
-            ValueError: wrong number of values, not a frame, or NaN or a number beyond
-                `Input.limits` in an input that moves something.
+            UnknownName: the robot, group or input does not exist.
+            ValueError: the number of values is wrong, a frame is invalid, or an input that moves
+                something contains NaN or a number beyond `Input.limits`.
         """
         if target not in self.inputs and target not in (shares := self.shares(target, values)):
             for each, share in shares.items():
@@ -206,10 +207,10 @@ class World(WorldView):
         userdata[self.flags[target]] = SET_BY_PROGRAM
 
     def export(self, path: Path) -> list[Path]:
-        """Writes the scene as MJCF, and its mesh files to `NAME_assets`; returns all files.
+        """Writes the scene as MJCF, and its meshes to the folder `NAME_assets`.
 
-        The keyframe `home` is the declared pose. Masses are those of simulation; a comment lists
-        the estimated masses.
+        The keyframe `home` is the declared pose. Masses are those of the simulation, and a comment
+        lists the masses of the robots. Returns the paths of all written files.
         """
         spec, about = self._weighed()
         if self.model.nq and spec.key("home") is None:
@@ -228,7 +229,7 @@ class World(WorldView):
         return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
 
     def weighed(self) -> mujoco.MjModel:
-        """Returns the model with masses: if not `dynamic`, a copy with those of robots only."""
+        """Returns the model with the masses of simulation. For display, only robots have masses."""
         if self.dynamic:
             return self.model
         return weighed_model(self.model, self.robots, dynamics_of(self.scene))
@@ -301,8 +302,8 @@ class World(WorldView):
         return np.arange(count, dtype=np.intp) + int(self.model.jnt_qposadr[joint])
 
     def _measure_without_doubles(self) -> None:
-        # MuJoCo 4.0.0 computes twice the extent if mocap bodies coincide with the robot. The extent
-        # scales near plane, far plane and shadows.
+        # If mocap bodies coincide with the robot, the extent in MuJoCo 4.0.0 is twice as large. The
+        # extent scales near plane, far plane and shadows.
         model = self.model
         solid = model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE
         solid &= model.geom_group != DOUBLE_GROUP
@@ -348,7 +349,7 @@ def _warn_of_lengths(scene: Scene) -> None:
     for name, robot in scene.robots.items():
         if robot.reach > _IMPLAUSIBLE_REACH:
             log.warning(
-                "robot '%s' reaches %.4g m; lengths are in m, and length_unit = \"mm\" is for a DH "
+                "robot '%s' reaches %.4g m. Are lengths in mm? Set length_unit = \"mm\" for a DH "
                 "table in mm",
                 name,
                 robot.reach,
@@ -356,14 +357,14 @@ def _warn_of_lengths(scene: Scene) -> None:
 
 
 def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
-    """Returns the dynamics of all robots of a scene; raises DeclarationError with all errors."""
+    """Returns the dynamics of all robots of a scene. Raises DeclarationError with all errors."""
     found: dict[str, RobotDynamics] = {}
     problems: list[Problem] = []
     for name, robot in scene.robots.items():
         try:
             with collect(problems, f"robots.{name}"):
                 found[name] = robot_dynamics(robot)
-        except ValueError as error:  # raised by MuJoCo for the hull of a mesh
+        except ValueError as error:  # MuJoCo cannot compute the hull of a mesh.
             raise _not_compiled(scene, error) from error
     if problems:
         raise DeclarationError(scene.located(problems))
@@ -371,9 +372,9 @@ def dynamics_of(scene: Scene) -> dict[str, RobotDynamics]:
 
 
 def world_without_meshes(robots: Iterable[SerialRobot]) -> World:
-    """Returns a dynamic world with the masses of all meshes, but without the meshes.
+    """Returns a world for simulation without meshes, but with the masses computed from them.
 
-    It compiles in a small part of the time. Raises DeclarationError if MuJoCo cannot compile it.
+    Such a world compiles much faster. Raises DeclarationError if MuJoCo cannot compile it.
     """
     scene = Scene(robots=list(robots), floor=False)
     bare = [
@@ -384,7 +385,7 @@ def world_without_meshes(robots: Iterable[SerialRobot]) -> World:
     return World(Scene(robots=bare, floor=False), dynamic=True, dynamics=known)
 
 
-# Fields of a model with masses of bodies, and with frames relative to other elements.
+# Fields of `MjModel` that contain masses of bodies, and indices of other elements.
 _MASSES = (
     "body_mass", "body_subtreemass", "body_inertia", "body_ipos", "body_iquat", "body_sameframe",
     "body_invweight0",
@@ -412,7 +413,7 @@ def _mesh_problems(scene: Scene) -> list[Problem]:
 
 
 def _mesh_problem(key: str, path: Path) -> Problem | None:
-    solid = "filenames" not in key  # visual geometry may be flat
+    solid = "filenames" not in key  # Visual geometry may be flat.
     hull: Hull = "always" if solid else "unless flat"
     root = mujoco.MjSpec()
     try:

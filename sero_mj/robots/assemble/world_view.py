@@ -1,4 +1,4 @@
-"""`WorldView`: the interface of a world to decor, windows, pages and picking."""
+"""`WorldView`: the interface of a world for decor, windows, pages and picking."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from ..declared.inputs import Input, inputs_of_group, share_out
 from ..declared.scene import Scene
 from .parts import ArrowTable, DoublePart, DrawnDouble, FrameTable, JointTable, Owner, RobotPart
 
-SET_BY_SOURCE, SET_BY_PROGRAM = 1.0, 2.0  # flags of inputs; 0 for inputs that were never set
+SET_BY_SOURCE, SET_BY_PROGRAM = 1.0, 2.0  # flags of inputs, which are 0 for inputs without values
 
 
 class WorldView(Protocol):
     """A compiled model and the indices of its robots, doubles, frames and arrows.
 
-    A `World` is compiled from a scene; a `ModelWorld` is derived from an external model.
-    Decor reads a *state*, which for a `World` is its `MjData`.
+    A `World` is compiled from a scene, and a `ModelWorld` is derived from an external model. Decor
+    reads a state. For a `World`, this is the `MjData` itself.
 
     Attributes:
-        owners: robots and doubles that have joints, by name, in the order of `joints`.
-        slots: slice of a state's `userdata` by name, e.g. `lwr.torques`, `sources.udp`.
-        flags: index in `userdata` of the flag of each input: what has set it last.
-        placed: index in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
-            name.
-        has_sites: whether the sites of joints, frames and arrows are sites of the model.
+        owners: robots and doubles with joints, by name, in the order of `joints`.
+        slots: slices of `userdata` by name, for example `lwr.torques` or `sources.udp`.
+        flags: indices in `userdata` of the flags of inputs, which store what set them last.
+        placed: indices in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
+            name of the robot, frame, object or camera.
+        has_sites: whether the model contains the sites of joints, frames and arrows.
         dynamic: whether velocities and contact forces of the data are meaningful.
     """
 
@@ -53,57 +53,59 @@ class WorldView(Protocol):
     def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: mujoco.MjData) -> Any:
-        """Returns the state that decor reads: an object with these fields of an `MjData`.
+        """Returns the state that decor reads, which is an `MjData` or has these of its fields.
 
-        `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat`, `userdata`.
+        The fields are `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat` and `userdata`.
         """
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
-        """Returns those of the doubles `shown`, (D,), that are not compiled into the model."""
+        """Returns the doubles in the mask `shown` (D,) that are not compiled into the model."""
 
     def geoms_in_view(self) -> Bools:
-        """Returns the geoms that a view of the whole scene includes, (ngeom,) bool."""
+        """Returns a mask of the geoms that a view of the whole scene includes, shape (ngeom,)."""
 
     def surroundings(self) -> mujoco.MjModel | None:
-        """Returns a model of the floor, sky and lights to add to the scene, or None."""
+        """Returns a model with floor, sky and lights to be drawn with the scene, or None."""
         return None
 
     def weighed(self) -> mujoco.MjModel:
-        """Returns the model with the masses of simulation.
+        """Returns the model with the masses of the simulation.
 
-        Raises DeclarationError with errors of the robots' masses.
+        Raises DeclarationError if the masses of a robot are invalid.
         """
         return self.model
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
-        """Sets an input, `name.input` of `inputs`, to values of its shape, SI units.
+        """Sets an input, such as `lwr.torques`, to values of its shape in SI units.
 
-        Raises UnknownName for an unknown input, and ValueError for invalid values.
+        Raises UnknownName if the input does not exist, and ValueError if the values are invalid.
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
-        """Sets inputs to the fields `keys` of a declaration, except for fields that are None."""
+        """Sets inputs to the values of the fields `keys` of a declaration. Skips None."""
         for key in keys:
             if getattr(declared, key) is not None:
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))
 
     def set_pose(self, data: mujoco.MjData, name: str, T_world: Array) -> None:
-        """Sets the pose T_world (4, 4), m, of one of `placed`."""
+        """Sets the pose of a body in `placed`, shape (4, 4), m."""
         quat = np.empty(4)
         mujoco.mju_mat2Quat(quat, T_world[:3, :3].ravel())
         data.mocap_pos[self.placed[name]] = T_world[:3, 3]
         data.mocap_quat[self.placed[name]] = quat
 
     def shares(self, target: str, values: Any) -> dict[str, Any]:
-        """Returns values by input: of one input, or of the inputs of all robots of a group.
+        """Distributes the values of an input of a group to inputs of its members.
+
+        If `target` is not an input of a group, the result contains only `target`.
 
         Args:
-            target: `name.input`; the name may be that of a group, or of the double of a group.
-            values: for a group, one value per joint or independent joint, in the order of its
-                robots. A switch applies to all robots.
+            target: name of the input of a robot, double or group, such as `lwr.torques`.
+            values: values of the input. For a group, these are the values of all joints or of the
+                independent joints of its robots, in order. A toggle applies to all robots.
 
         Raises:
-            UnknownName: no robot of the group has such an input.
+            UnknownName: no robot of the group has this input.
             ValueError: the number of values does not match the group.
         """
         name, _, key = target.partition(".")
@@ -118,7 +120,7 @@ class WorldView(Protocol):
         return {item.target: part for item, part in zip(items, parts, strict=True)}
 
     def resolve_input(self, target: str) -> Input:
-        """Returns the input named `name.key`; raises UnknownName if there is none."""
+        """Returns the input with the name `target`. Raises UnknownName if it does not exist."""
         if target in self.inputs:
             item = self.inputs[target]
             if item.kind != "pose" or item.name in self.placed:
@@ -132,7 +134,7 @@ class WorldView(Protocol):
         raise UnknownName("robot", name, [*names, *self.scene.groups, *self.scene.double_groups])
 
     def fwd_kin_base_to_flange(self, data: mujoco.MjData, robot: str) -> Array:
-        """Returns T_base_flange (4, 4), m, of a robot in the compiled model at `data`."""
+        """Returns the pose of a robot's flange in its base frame at `data`, shape (4, 4), m."""
         if robot not in self.robots:
             raise UnknownName("robot", robot, self.robots)
         part = self.robots[robot]
@@ -144,12 +146,12 @@ class WorldView(Protocol):
         return np.asarray(inverse(base) @ flange)
 
     def frame(self, data: mujoco.MjData, name: str) -> Array:
-        """Returns T_world_name (4, 4), m, of a named frame (`lwr/flange`) at `data`."""
+        """Returns the pose of a named frame (`lwr/flange`) in the world, shape (4, 4), m."""
         state, site = self.state(data), self.frame_site(name)
         return frame(state.site_xmat[site].reshape(3, 3), state.site_xpos[site])
 
     def frame_site(self, name: str) -> int:
-        """Returns the site of a frame; its name may also be a joint, or a link of the robot file.
+        """Returns the site of a frame, joint, or link of the original robot file.
 
         Raises UnknownName if there is no such frame.
         """

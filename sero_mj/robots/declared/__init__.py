@@ -1,7 +1,7 @@
 """Declarations of robots and scenes, in files or in Python, and their validation.
 
-In: tables from TOML files, importers, or keyword arguments. Out: a `SerialRobot` or a `Scene` whose
-references and numbers of entries are valid. This package does not use MuJoCo.
-Open first: `robot_declaration.py` and `scene.py`; then `robot.py` for derived quantities of robots,
-and `scene_file.py` for reading files.
+In: tables from TOML files, importers, or keyword arguments. Out: a `SerialRobot` or a `Scene` with
+valid references and array lengths. This package does not use MuJoCo.
+Open first: `robot_declaration.py` and `scene.py`. `robot.py` derives quantities of robots, and
+`scene_file.py` reads files.
 """

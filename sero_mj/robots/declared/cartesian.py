@@ -1,4 +1,4 @@
-"""Named frames, received frames, and smart arrows (sections 2.4 and 2.5 of the paper)."""
+"""Named frames, received frames and smart arrows (sections 2.4 and 2.5 of the paper)."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from .surroundings import Object
 
 WORLD = "world"
 VectorKind = Literal["force", "torque", "velocity", "angular_velocity"]
-# Rotational quantities, shown as round arrows about their direction.
+# Kinds that are shown as a round arrow about the vector.
 ROUND_KINDS = ("torque", "angular_velocity")
 UNITS = {"force": "N", "torque": "Nm", "velocity": "m/s", "angular_velocity": "rad/s"}
-# m per unit: 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
+# Default scales, m per SI unit. 100 N, 20 Nm, 1 m/s and 2 rad/s are large for a light-weight robot.
 _SCALES = {"force": 0.004, "torque": 0.005, "velocity": 0.5, "angular_velocity": 0.05}
-# Different from the colors of joint arrows (orange, blue) and axes (red, green, blue).
+# These colors differ from those of joint arrows (orange, blue) and axes (red, green, blue).
 _RGBA = {
     "force": (0.76, 0.08, 0.50, 1.0),
     "torque": (0.50, 0.16, 0.72, 1.0),
@@ -38,19 +38,20 @@ def _place(value: Any) -> Any:
 
 
 class SmartArrow(Declaration):
-    """A Cartesian vector, drawn as a straight or round arrow at its point of action.
+    """A Cartesian vector of a scene, shown as a straight or round arrow where it acts.
 
-    A route sets its input `NAME.vector`.
+    A route to the input `NAME.vector` sets the vector.
 
     Attributes:
         name: name in routes, for example `contact` in `contact.vector`.
         kind: `force`, `torque`, `velocity` or `angular_velocity`.
-        at: frame at which the vector acts (`lwr/flange`), or a point in the world, m.
-        expressed_in: frame of the components, or `world` (default: the frame `at`, or the world for
-            a point).
-        vector: initial components (3,); None for no data.
-        scale: length of a straight arrow, or width of a round arrow, per unit of the magnitude, m.
-        longest: maximum length or width, m. Larger vectors are striped (round) or dark (straight).
+        at: frame at which the vector acts (`lwr/flange`), or a point in world coordinates, m.
+        expressed_in: frame in which the components are expressed, or `world` (default: the frame
+            `at`, or the world if `at` is a point).
+        vector: initial components, shape (3,); None for no data.
+        scale: length of a straight arrow or width of a round arrow in m per unit of the vector.
+        longest: maximum length or width of the arrow, m. If the vector is larger, a straight arrow
+            is dark and a round arrow is striped.
         radius: radius of a round arrow, m.
         unit: unit shown after the numbers (default: the SI unit of the kind).
         decimals: number of decimals.
@@ -77,19 +78,19 @@ class SmartArrow(Declaration):
 
     @property
     def metres_per_unit(self) -> float:
-        """`scale`, or the default of the kind, in m per unit."""
+        """Arrow length or width per unit of the vector, in m: `scale`, or the kind's default."""
         return _SCALES[self.kind] if self.scale is None else self.scale
 
     @property
     def limit(self) -> float:
-        """`longest`, in m (default: 0.5, or the radius of a round arrow)."""
+        """Maximum arrow length or width in m: `longest`, or else 0.5 m or the round radius."""
         if self.longest is not None:
             return self.longest
         return self.radius if self.is_round else 0.5
 
     @property
     def unit_text(self) -> str:
-        """`unit`, or the SI unit of the kind."""
+        """Displayed unit: `unit`, or the SI unit of the kind."""
         return UNITS[self.kind] if self.unit is None else self.unit
 
     @property
@@ -102,21 +103,21 @@ class SmartArrow(Declaration):
 
     @property
     def components_in(self) -> str:
-        """Name of the frame of the components, or `world`."""
+        """Name of the frame in which the components are expressed, or `world`."""
         if self.expressed_in is not None:
             return self.expressed_in
         return self.at if isinstance(self.at, str) else WORLD
 
 
 class ReceivedFrame(Declaration):
-    """A received frame, shown as axes. Routes can also use it as a source.
+    """A coordinate frame of a scene that is received from a source and shown as axes.
 
-    Its input `NAME.frame` is T_relative_to_NAME, (4, 4).
+    Routes set its input `NAME.frame`, the 4x4 matrix T_relative_to_NAME, and can read it.
 
     Attributes:
         name: name in routes, for example `target` in `target.frame`.
         relative_to: reference frame, for example `lwr/base`, or `world`.
-        frame: initial pose, used until a frame arrives. If None, the frame is hidden until then.
+        frame: initial pose, used until data arrives. If None, the frame is hidden until then.
         show_axes: whether the axes are shown.
         axes_size: length of the axes, m.
         axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
@@ -132,13 +133,14 @@ class ReceivedFrame(Declaration):
 
 @dataclass(frozen=True)
 class NamedFrame:
-    """A named frame.
+    """A frame of a scene that arrows, routes and cameras can refer to by name.
 
     Attributes:
-        shown_with: robot or double whose `show_axes` applies; empty for a frame with its own
-            toggle.
-        moves_with: robot, double or received frame that moves the frame; empty if it is fixed.
-        shown: initial state of its own toggle.
+        shown_with: name of the robot or double whose `show_axes` applies, or empty if the frame has
+            its own toggle.
+        moves_with: name of the robot, double or received frame that moves the frame, or empty if
+            the frame is fixed.
+        shown: initial state of the frame's own toggle.
     """
 
     name: str
@@ -156,7 +158,7 @@ def list_frames(
     frames: Mapping[str, ReceivedFrame],
     objects: Sequence[Object],
 ) -> dict[str, NamedFrame]:
-    """Returns all frames of a scene except `world`, including objects of shape `axes`, by name."""
+    """Returns the frames of robots, doubles, received frames and `axes` objects, by name."""
     found: list[NamedFrame] = []
     for name, robot in robots.items():
         look = (name, name, robot.axes_length, 1.0 - robot.axes_transparency)
@@ -170,7 +172,7 @@ def list_frames(
             robot = robots[double.of]
             alpha = AXES_OPACITY * (1.0 - robot.axes_transparency)
             look = (name, name, robot.axes_length, alpha)
-            # Doubles have the base frames of their robots.
+            # A double has no base frame of its own, because it shares the base of its robot.
             labels = [f"link{i + 1}" for i in range(robot.n)] + ["flange"]
             sites = [(label, label.replace("link", "frame")) for label in labels]
             found += [

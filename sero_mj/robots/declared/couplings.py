@@ -1,7 +1,7 @@
-"""Coupled joints, which are driven by another joint through a gear or a tendon.
+"""Coupled joints, which another joint drives through a gear or a tendon.
 
-The position of a coupled joint is offset + ratio * (position of the driving joint). k of the n
-joints are independent. Packets, routes and declared poses contain k or n values.
+The position of a coupled joint is offset + ratio * (position of the driving joint). Of n joints, k
+are independent. Packets, routes and declared poses contain either k or n values.
 """
 
 from __future__ import annotations
@@ -18,12 +18,12 @@ from ...base.frames import Array, Ints
 
 
 class Coupling(Declaration):
-    """The coupling of a joint to another one.
+    """The linear relation between the positions of a coupled joint and its driving joint.
 
     Attributes:
         to: name of the driving joint, which may itself be coupled.
-        ratio: ratio of the angle to that of the driving joint.
-        offset: joint value at zero of the driving joint, rad or m.
+        ratio: motion of the coupled joint per motion of the driving joint.
+        offset: position of the coupled joint if the driving joint is at zero, rad or m.
     """
 
     to: str
@@ -34,19 +34,19 @@ class Coupling(Declaration):
     @classmethod
     def _moves(cls, ratio: float) -> float:
         if ratio == 0.0:
-            raise mismatch(0, "another number: with 0 the joint would be fixed")
+            raise mismatch(0, "a nonzero ratio, because 0 would fix the joint")
         return ratio
 
 
 @dataclass(frozen=True, eq=False)
 class CoupledJoints:
-    """The couplings of n joints to k independent joints.
+    """The couplings of the n joints of a robot to its k independent joints, as arrays.
 
     Attributes:
-        independent: indices (k,) of the independent joints.
-        source: index into `independent` for each joint, (n,).
-        ratio: ratio of each joint value to that of its independent joint, (n,).
-        offset: value of each joint at zero of its independent joint, (n,), rad or m.
+        independent: indices of the independent joints, shape (k,).
+        source: index into `independent` for each joint, shape (n,).
+        ratio: motion of each joint per motion of its independent joint, shape (n,).
+        offset: position of each joint if its independent joint is at zero, shape (n,), rad or m.
     """
 
     independent: Ints
@@ -67,27 +67,27 @@ class CoupledJoints:
         return self.k < self.n
 
     def positions(self, independent: Array) -> Array:
-        """Returns the positions (..., n) of all joints from those (..., k) of independent ones."""
+        """Converts positions of independent joints (..., k) to positions of all joints (..., n)."""
         return np.asarray(independent[..., self.source] * self.ratio + self.offset)
 
     def rates(self, independent: Array) -> Array:
         return np.asarray(independent[..., self.source] * self.ratio)
 
     def full(self, key: str, values: Array) -> Array:
-        """Returns the values (..., n) of a per-joint input from n or k values.
+        """Returns the values of all joints, shape (..., n), for an input with n or k values.
 
-        Positions and accelerations of coupled joints are computed. Other quantities are NaN.
+        Positions and accelerations of coupled joints are computed. Other quantities become NaN.
         """
         if values.shape[-1] != self.k or not self.is_coupled:
             return values
         return np.asarray(values[..., self.source] * self.factors(key) + self.constants(key))
 
     def factors(self, key: str) -> Array:
-        """Returns the factors (n,) from values of independent joints to values of all joints."""
+        """Returns factors that convert values of independent joints to all joints, shape (n,)."""
         return self.ratio if key in ("joint_angles", "joint_accelerations") else np.ones(self.n)
 
     def constants(self, key: str) -> Array:
-        """Returns the constants (n,) to be added after multiplication; NaN for unknown values."""
+        """Returns constants to be added to the scaled values, shape (n,), NaN if unknown."""
         if key == "joint_angles":
             return self.offset
         known = np.isin(np.arange(self.n), self.independent)
@@ -95,7 +95,7 @@ class CoupledJoints:
 
 
 def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -> list[Problem]:
-    """Returns couplings with unknown joints, and cycles."""
+    """Returns a problem for each unknown joint name, and for each cycle of couplings."""
     problems = []
     for name, coupling in couplings.items():
         if name not in names:
@@ -113,14 +113,14 @@ def coupling_problems(names: Sequence[str], couplings: Mapping[str, Coupling]) -
         way = [name]
         while way[-1] in couplings and couplings[way[-1]].to not in way:
             way.append(couplings[way[-1]].to)
-        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # reported once
+        if way[-1] in couplings and couplings[way[-1]].to == name == min(way):  # once per cycle
             circle = " to ".join([*way, name])
-            problems.append(Problem(name, f"joints are coupled in a circle: {circle}"))
+            problems.append(Problem(name, f"joints are coupled in a cycle: {circle}"))
     return problems
 
 
 def coupled_joints(names: Sequence[str], couplings: Mapping[str, Coupling]) -> CoupledJoints:
-    """Returns the couplings to independent joints. The arguments must be valid."""
+    """Resolves chains of couplings to independent joints. `couplings` must be valid."""
     independent = [i for i, name in enumerate(names) if name not in couplings]
     source, ratio, offset = np.zeros(len(names), np.intp), np.ones(len(names)), np.zeros(len(names))
     for i, name in enumerate(names):

@@ -8,14 +8,14 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 
-FAR_BEYOND = 2 * np.pi  # rad beyond a position limit
-MAX_ANGLE = 8 * np.pi  # rad, four rotations, for joints without limits
+FAR_BEYOND = 2 * np.pi  # implausible distance beyond a position limit, rad
+MAX_ANGLE = 8 * np.pi  # four rotations, for joints without limits, rad
 _MAX_DEGREES = 360.0
 _STEP, _ROUNDING = 0.1, 1e-5  # deg: typed angles are often multiples of this
 
 
 class HasJoints(Protocol):
-    """Interface of `SerialRobot`, which imports this module."""
+    """The part of `SerialRobot` that this module needs, because importing it would be circular."""
 
     name: str
 
@@ -30,11 +30,11 @@ class HasJoints(Protocol):
 
 
 def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
-    """Returns a mask of the joint values (n,), rad or m, that are probably in degrees.
+    """Returns a mask of the joint angles that are probably in degrees, shape (n,).
 
-    These are angles that exceed the position limits by more than `FAR_BEYOND`. For continuous
-    joints, these are angles beyond `MAX_ANGLE`, up to 360, that are multiples of 0.1, which
-    excludes wheels that have rotated many times.
+    An angle is suspicious if it exceeds the position limits by more than `FAR_BEYOND`. The angle of
+    a continuous joint is suspicious if it is larger than `MAX_ANGLE`, at most 360, and a multiple
+    of 0.1. This excludes wheels that have rotated many times.
     """
     low, high = robot.plausible_limits.T
     with np.errstate(invalid="ignore"):
@@ -47,10 +47,10 @@ def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
 
 
 def degrees_warning(robot: HasJoints, angles: Array) -> str:
-    """Returns a warning about the first joint with angles in degrees, or an empty text.
+    """Returns a warning about the first joint whose angles are probably in degrees, or "".
 
     Args:
-        angles: joint values (n,), or over time (T, n), rad or m; may contain NaN.
+        angles: joint values, shape (n,) or (T, n), rad or m; may contain NaN.
     """
     known = np.nan_to_num(np.atleast_2d(angles))
     if not known.size:

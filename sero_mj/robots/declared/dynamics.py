@@ -1,4 +1,4 @@
-"""The tables `[dynamics]` and `[torque_control]` of a robot file."""
+"""The tables `[dynamics]` and `[torque_control]` of a robot file, and checks of inertia tensors."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ...base.declaration import Declaration, numbers, of_shape
 from ...base.errors import Problem, mismatch, raise_any
 from ...base.frames import Array
 
-# Relative tolerance: typed values are rounded, and flat bodies are exactly at the bound.
+# Relative tolerance, because typed values are rounded and flat bodies are exactly at the bound.
 _ROUNDING = 1e-6
-_ZERO = 1e-12  # relative: smaller moments are rounding errors
-# kg/m3 of the hull of a link: hollow aluminum with motors and gears. With 840, the hulls of the
-# moving links of the LWR have their true mass of 13.4 kg.
+_ZERO = 1e-12  # Relative to the largest moment, smaller moments are rounding errors.
+# Density of the convex hull of a link, kg/m3, for hollow aluminum with motors and gears. With 840,
+# the hulls of the moving links of the LWR have their true mass of 13.4 kg.
 LINK_DENSITY = 840.0
 
-_POINT_RADIUS = 0.005  # m, radius of the ball that replaces a point mass
+_POINT_RADIUS = 0.005  # radius of the ball that replaces a point mass, m
 _INERTIAL = ("masses", "centers_of_mass", "inertias")
 _FRAMES = ("frames", "frame_origins", "mass_scale")
 _PER_LINK = (*_INERTIAL, "frame_origins")
@@ -33,13 +33,13 @@ _PER_JOINT = (
 
 
 def tensors_from(value: Any) -> Array:
-    """Parses inertia tensors from a file, and returns them as an array (m, 3, 3), kg m2.
+    """Converts inertia tensors from a file to an array, shape (m, 3, 3), kg m2.
 
-    Each entry is 3 x 3 numbers or 6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz of the tensor, as in URDF
-    and MJCF). Raises ValueError for other entries.
+    Each entry is a 3 x 3 matrix or a list of 6 numbers: the tensor entries Ixx, Iyy, Izz, Ixy, Ixz
+    and Iyz, as in URDF and MJCF. Raises ValueError for other entries.
     """
     if not isinstance(value, list | tuple | np.ndarray):
-        raise mismatch(value, "one tensor per link")
+        raise mismatch(value, "a list with one tensor per link")
     tensors = np.empty((len(value), 3, 3))
     for k, entry in enumerate(value):
         array = numbers(entry)
@@ -48,45 +48,44 @@ def tensors_from(value: Any) -> Array:
             tensors[k] = [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
         elif array.shape == (3, 3):
             if np.abs(array - array.T).max() > _ROUNDING * max(float(np.abs(array).max()), 1e-300):
-                found, expected = f"{link_name(k)}: found", "a symmetric 3x3"
+                found, expected = f"{link_name(k)}: found", "a symmetric 3 x 3 matrix"
                 raise mismatch(array, expected, found)
             tensors[k] = (array + array.T) / 2
         else:
             found = " x ".join(map(str, array.shape)) or "one number"
-            expected = "6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or 3 x 3"
+            expected = "6 numbers (Ixx, Iyy, Izz, Ixy, Ixz, Iyz) or a 3 x 3 matrix"
             raise Problem("", f"{link_name(k)}: found {found}", expected=expected).error()
     return tensors
 
 
 def link_name(k: int) -> str:
-    """Returns the name of body k for messages, where body 0 is the base."""
+    """Returns the name of body k of a robot for messages: `the base` or, for example, `link 2`."""
     return f"link {k}" if k else "the base"
 
 
 def inertia_problem(tensor: Array) -> str | None:
-    """Returns why an inertia tensor (3, 3), kg m2, is invalid, or None if it is valid.
+    """Returns the reason why an inertia tensor (3, 3) about the center of mass is invalid, or None.
 
-    The tensor is about the center of mass. Its principal moments must be positive, and none may
-    exceed the sum of the other two, because each is an integral of a sum of two squares.
+    The principal moments must be positive, and none may exceed the sum of the other two.
     Source: Featherstone, Rigid Body Dynamics Algorithms, 2008, section 2.13.
     """
     low, middle, high = np.linalg.eigvalsh(tensor)
     found = f"found principal moments {low:.4g}, {middle:.4g}, {high:.4g} kg m2"
     if low <= _ZERO * high:
-        return f"{found}; expected all of them positive"
+        return f"{found}; expected positive moments"
     if low + middle < high * (1 - _ROUNDING):
         return (
-            f"{found}; expected the largest to be at most the sum of the others, "
-            f"{low + middle:.4g} (a tensor about the centre of mass?)"
+            f"{found}; expected the largest moment to be at most the sum of the other two, "
+            f"{low + middle:.4g}. Is the tensor about the center of mass?"
         )
     return None
 
 
 def balanced_tensor(tensor: Array, mass: float) -> Array:
-    """Returns a valid tensor (3, 3), kg m2, with the principal axes of an invalid one.
+    """Returns a similar, valid inertia tensor (3, 3) with the same principal axes, in kg m2.
 
-    Principal moments are raised to at least those of a ball with `_POINT_RADIUS`. Then the two
-    smaller ones are raised by equal amounts until their sum equals the largest.
+    The principal moments are raised to at least those of a ball with a radius of 5 mm. If the two
+    smaller ones then sum to less than the largest, both are raised by the same amount.
     """
     moments, axes = np.linalg.eigh(tensor)
     moments = np.maximum(moments, 0.4 * mass * _POINT_RADIUS**2)
@@ -95,9 +94,9 @@ def balanced_tensor(tensor: Array, mass: float) -> Array:
 
 
 def principal_moments(tensor: Array) -> tuple[Array, Array]:
-    """Returns the principal moments (3,), kg m2, and a rotation (3, 3) with their axes as columns.
+    """Returns the principal moments (3,), kg m2, and their axes as columns of a rotation matrix.
 
-    Corrects rounding errors in the moments of flat bodies, which MuJoCo would reject.
+    The moments of flat bodies are corrected for rounding errors, which MuJoCo would reject.
     """
     moments, axes = np.linalg.eigh(tensor)
     if np.linalg.det(axes) < 0:
@@ -107,7 +106,7 @@ def principal_moments(tensor: Array) -> tuple[Array, Array]:
 
 
 def rotate_tensors(tensors: Array, rotation: Array) -> Array:
-    """Returns tensors (..., 3, 3) in other axes: rotation_new_old @ I @ rotation_old_new."""
+    """Returns inertia tensors (..., 3, 3) in new axes, R_new_old @ I @ R_old_new."""
     return np.asarray(rotation @ tensors @ np.swapaxes(rotation, -1, -2))
 
 
@@ -148,31 +147,31 @@ _Positive = Annotated[Array | None, of_shape(None), AfterValidator(_above_zero)]
 class Dynamics(Declaration):
     """Masses, inertias, friction and elasticity of one robot. Missing values are estimated.
 
-    Values per link have n + 1 rows: the base, then the links. Values are in SI units: kg, m, kg m2,
-    Nm s/rad, Nm and Nm/rad, and for prismatic joints kg, N s/m, N and N/m.
+    Arrays with one row per link have n + 1 rows, for the base and the n links. Values are in SI
+    units. For prismatic joints, the units are kg, N s/m, N and N/m instead of kg m2, Nm s/rad, Nm
+    and Nm/rad.
 
     Attributes:
-        frames: reference frame of centers of mass and tensors: `dh` for the frame of the DH row of
-            the link, or `zero_pose` for a frame with the same origin whose axes are parallel to
-            those of the base at zero joint angles.
-        frame_origins: offsets (n + 1, 3) of the origins of these frames along their own axes, m,
-            for data of a model whose link frames have other origins.
-        masses: masses (n + 1,), kg; 0 and a zero tensor for a massless link.
-        centers_of_mass: centers of mass (n + 1, 3), m.
-        inertias: inertia tensors about the center of mass, kg m2, each with 3 x 3 or 6 numbers
-            (Ixx, Iyy, Izz, Ixy, Ixz, Iyz, the entries of the tensor as in URDF, not the products of
-            inertia).
-        inertia_repair: treatment of invalid tensors, such as identified values or point masses:
-            `none` reports an error, `balance` replaces them, see `balanced_tensor`.
-        mass_scale: factor of the masses and tensors of the moving links.
-        density: density for estimates if no masses are declared, kg/m3.
-        motor_inertias: motor inertias (n,) at the joint: rotor inertia times the squared gear
-            ratio, kg m2.
-        viscous_friction: viscous friction (n,) of motor and gear, on the motor side of the torque
-            sensor, Nm s/rad.
-        coulomb_friction: Coulomb friction (n,) of motor and gear, Nm.
-        joint_stiffness: stiffness (n,) of gear and torque sensor, for `elastic_joints`, Nm/rad.
-        joint_damping: damping (n,) in parallel with the stiffness, Nm s/rad.
+        frames: reference frames of centers of mass and tensors: `dh` for the frames of the DH
+            table, or `zero_pose` for frames with the same origins whose axes are parallel to those
+            of the base at zero joint angles.
+        frame_origins: offsets of the frame origins along the axes of these frames, shape
+            (n + 1, 3), m, for data from a model whose link frames have different origins.
+        masses: masses, shape (n + 1,), kg. A massless link has mass 0 and a zero tensor.
+        centers_of_mass: centers of mass, shape (n + 1, 3), m.
+        inertias: inertia tensors about the centers of mass, kg m2: 3 x 3 matrices, or the 6 tensor
+            entries Ixx, Iyy, Izz, Ixy, Ixz, Iyz as in URDF (not the products of inertia).
+        inertia_repair: treatment of physically invalid tensors: `none` reports an error, `balance`
+            replaces each by a similar valid tensor.
+        mass_scale: factor for the masses and tensors of the moving links.
+        density: density for mass estimates if no masses are declared, kg/m3.
+        motor_inertias: rotor inertias times the squared gear ratios, shape (n,), kg m2.
+        viscous_friction: viscous friction of motors and gears, on the motor side of the torque
+            sensors, shape (n,), Nm s/rad.
+        coulomb_friction: Coulomb friction of motors and gears, shape (n,), Nm.
+        joint_stiffness: stiffness of gears and torque sensors, shape (n,), Nm/rad, for
+            `elastic_joints`.
+        joint_damping: damping in parallel with the joint stiffness, shape (n,), Nm s/rad.
     """
 
     renamed = {"mend": "inertia_repair"}
@@ -195,7 +194,7 @@ class Dynamics(Declaration):
 
     @property
     def repaired(self) -> list[str]:
-        """Descriptions of the tensors that `inertia_repair` replaced."""
+        """Descriptions of the tensors that `inertia_repair` has replaced."""
         return list(self._repaired)
 
     @model_validator(mode="after")
@@ -208,7 +207,8 @@ class Dynamics(Declaration):
             if reason is None:
                 continue
             if self.inertia_repair == "none" or self.masses is None or k >= len(self.masses):
-                hint = '; inertia_repair = "balance" changes it to a similar one'
+                hint = ' Set inertia_repair = "balance" to replace it by a similar valid tensor.'
+                hint = hint if reason.endswith("?") else f".{hint}"
                 problems.append(Problem("inertias", f"{link_name(k)}: {reason}{hint}"))
                 continue
             balanced = balanced_tensor(tensor, float(self.masses[k]))
@@ -236,23 +236,23 @@ class Dynamics(Declaration):
         return self
 
     def check_counts(self, n: int) -> None:
-        """Raises DeclarationError if an array has the wrong number of entries for n joints."""
-        problems = _count_problems(self, _PER_LINK, n + 1, "the base and one per joint")
+        """Raises DeclarationError if the length of an array does not match n joints."""
+        problems = _count_problems(self, _PER_LINK, n + 1, "one for the base and one per joint")
         problems += _count_problems(self, _PER_JOINT, n, _ROWS)
         raise_any(problems)
 
 
 class TorqueControl(Declaration):
-    """Parameters of the joint torque control, which is active if `run.torque_control` is true.
+    """Parameters of the simulated joint torque control, which `run.torque_control` activates.
 
     Attributes:
         inertia_ratio: ratio of apparent to actual motor inertia, typically between 1/4 and 1/10
             (Albu-Schäffer, Ott, Hirzinger 2007).
-        motor_inertias: apparent motor inertias (n,) at the joint, kg m2 or kg, instead of a common
-            ratio.
+        motor_inertias: apparent motor inertias at the joints, shape (n,), kg m2 or kg, instead of
+            `inertia_ratio`.
         bandwidth: bandwidth of the low-pass filter of the measured torque, 1/s.
-        damping: damping ratio of the apparent motor inertia on the spring of an elastic joint whose
-            link is held.
+        damping: damping ratio of the oscillation of the apparent motor inertia on the joint spring
+            if the link is fixed.
         friction_bandwidth: bandwidth of the friction observer, 1/s; 0 for no compensation.
     """
 
@@ -274,16 +274,16 @@ def _count_problems(
     table: Declaration, keys: Sequence[str], count: int, what: str
 ) -> list[Problem]:
     return [
-        Problem(key, found=len(value), of="entries", expected=f"{count}: {what}")
+        Problem(key, found=len(value), of="entries", expected=f"{count}, {what}")
         for key in keys
         if (value := getattr(table, key)) is not None and len(value) != count
     ]
 
 
 def merge_tables(file_table: Any, override: Any) -> Any:
-    """Returns the table of a robot file with overridden entries.
+    """Returns a table of a robot file in which the entries of `override` replace those of the file.
 
-    If masses, centers and tensors are all overridden, their reference frame is, too.
+    If masses, centers and tensors are all replaced, the reference frame of the file does not apply.
     """
     if not (isinstance(file_table, Mapping) and isinstance(override, Mapping)):
         return override
@@ -295,7 +295,7 @@ def merge_tables(file_table: Any, override: Any) -> Any:
 
 
 def is_overridden(key: str, fields: Mapping[str, Any]) -> bool:
-    """Whether a dotted key is among the fields that override a robot file."""
+    """Whether `fields`, which override a robot file, contain a value for a dotted key."""
     name, _, inner = key.partition(".")
     table = fields.get(name)
     if name in ("dynamics", "torque_control") and isinstance(table, Mapping) and inner:

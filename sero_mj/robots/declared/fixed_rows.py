@@ -1,4 +1,4 @@
-"""Explains how to declare DH rows without a joint, with which tables of Kinova begin."""
+"""Suggests a declaration for DH rows without a joint, such as the first row of Kinova's tables."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ FIXED = "fixed"
 
 
 def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> Problem | None:
-    """Returns the problem of joint types that contain `fixed`, or None.
+    """Returns a problem with a suggestion if the joint types contain `fixed`, and None otherwise.
 
-    `declared` contains the fields of the robot that are valid so far.
+    `declared` contains the fields of the robot that have been validated so far.
     """
     if FIXED not in types:
         return None
@@ -25,7 +25,7 @@ def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> P
     rows = declared.get("dh_params")
     first = next((k for k, each in enumerate(types) if each != FIXED), len(types))
     last = max((k for k, each in enumerate(types) if each != FIXED), default=-1)
-    hint = "declare the robot by joint_frames, which need no row for what is fixed"
+    hint = "use joint_frames, which need no rows for fixed transforms"
     if place < first or place > last:
         part = slice(0, first) if place < first else slice(last + 1, None)
         key = "dh_base_frame" if place < first else "flange_frame"
@@ -37,7 +37,7 @@ def fixed_row_problem(types: Sequence[object], declared: Mapping[str, Any]) -> P
 
 
 def _transform(rows: Array, key: str, declared: Mapping[str, Any]) -> Array:
-    """Returns the transform (4, 4) of fixed rows (k, 4), after the frame declared under `key`."""
+    """Returns the product of the frame declared under `key` and the transform of fixed rows."""
     columns = tuple(declared.get("dh_columns", COLUMNS))
     table = DhTable.from_rows(rows, declared["dh_convention"], columns)
     T = table.frames(np.zeros(len(rows)))[-1].copy()

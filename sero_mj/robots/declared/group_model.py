@@ -1,9 +1,9 @@
 """Models of groups, such as a hand, or a robot with torso, arms and hands.
 
-`models/NAME/group.toml` contains robots and groups, which are mounted on each other, and objects. A
+`models/NAME/group.toml` contains objects, and robots and groups that are mounted on each other. A
 group with `model = "NAME"` is expanded to these robots before other code reads it. The robots are
-named `GROUP_ROBOT`, have the order of `members` in the model, and are placed at the frame of the
-group.
+named `GROUP_ROBOT`, follow the order of `members` in the model, and are placed relative to the
+frame of the group.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from ...base.toml_file import key_lines, located, read_toml
 from .groups import Group
 from .surroundings import Object, set_directory
 
-Declared = tuple[tuple[Path, str], ...]  # files and keys of a table, outer files first
+Declared = tuple[tuple[Path, str], ...]  # files that declare a table, with its keys, outer first
 _DEFAULTS = [key for key in Group.model_fields if key not in ("name", "robots")]
 _SECTIONS = ("robots", "groups", "objects")
 _OF_FILE = ["members", *_SECTIONS, *_DEFAULTS]
@@ -44,17 +44,17 @@ _OF_ENTRY = ["model", "mount", "base_frame", "mirrored", "robots", "groups", *_D
 
 @dataclass
 class Expanded:
-    """The tables that result from expanding groups.
+    """The tables of robots and groups after groups with a model have been expanded.
 
     Attributes:
-        robots: tables by name, each with its placement and the file of its model.
-        groups: tables by name, each with its robots and without a model.
-        objects: objects that are fixed to the base of a robot, by name of the robot.
-        declared: locations of tables in files, by `robots.NAME` and `groups.NAME`.
+        robots: robot tables by name, each with a placement and the file of its model.
+        groups: group tables by name, each with a list of robots instead of a model.
+        objects: objects that are fixed to the base of a robot, by robot name.
+        declared: locations of the tables in files, by `robots.NAME` or `groups.NAME`.
         problems: all errors in models and in references to them.
-        broken: `groups.NAME` of the skipped groups.
-        maximum: maximum numbers of robots and groups. Expansion stops beyond them, because nested
-            models multiply.
+        broken: keys `groups.NAME` of skipped groups.
+        maximum: maximum numbers of `robots` and `groups`. Expansion stops beyond them, because
+            nested models multiply.
     """
 
     robots: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -75,7 +75,7 @@ def expand_groups(tables: Mapping[str, Any], file: Path, maximum: Mapping[str, i
     """Expands the groups of a scene that have a model.
 
     Models are searched for in the folder of the scene file, and among the included models.
-    Expansion stops soon after `maximum` robots and groups.
+    Expansion stops soon after the `maximum` numbers of `robots` and `groups`.
     """
     found = Expanded(maximum=maximum)
     for name, table in tables.items():
@@ -90,7 +90,7 @@ def expand_groups(tables: Mapping[str, Any], file: Path, maximum: Mapping[str, i
 def where(problem: Problem, declared: Declared) -> Problem:
     """Returns a problem with file, key and line, for a table that several files declare.
 
-    The first location that contains the key is used, or else the last location.
+    The location is the first one in `declared` that contains the key, or else the last one.
     """
     key = problem.key.partition(".")[0]
     path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
@@ -98,20 +98,21 @@ def where(problem: Problem, declared: Declared) -> Problem:
 
 
 def has_key(place: tuple[Path, str], key: str) -> bool:
-    """Whether the table at a location in a file has a key."""
+    """Whether the table that is declared at `place` (file and dotted key) contains `key`."""
     file, prefix = place
     return Problem(key, "").inside(prefix).key in key_lines(file)
 
 
 @dataclass(frozen=True)
 class _Placement:
-    """The placement of the members of a model, or of the robots of a scene.
+    """The placement of the members of a group model in the scene.
 
     Attributes:
-        T: pose (4, 4) of the frame of the members in the frame `mount`.
-        scope: prefix of names, for example `justin_left_hand_`.
+        scope: prefix of the members' names, for example `justin_left_hand_`.
+        T: pose of the members' common frame in the frame `mount`, shape (4, 4), m.
         mirrored: whether the members are reflected at the xz plane of their frame.
         mount: frame of a robot on which the members are mounted; None for the world.
+        mounted: locations of the declaration of `mount`.
         inside: files of the models that are being expanded, outermost first.
     """
 
@@ -174,7 +175,7 @@ def _add_group(
 
 def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
     if not isinstance(model, str | Path):
-        raise mismatch(model, "a group's name")
+        raise mismatch(model, "the name of a group model")
     try:
         path = model if isinstance(model, Path) else paths.find_group_model(model, beside)
     except (DeclarationError, UnknownName) as error:
@@ -182,7 +183,7 @@ def _group_file(model: Any, beside: Path, inside: Sequence[Path]) -> Path:
     files = [each.resolve() for each in inside]
     if path.resolve() in files:
         way = [_name_of(each) for each in (*inside[files.index(path.resolve()) :], path)]
-        message = f"models of groups are in each other in a circle: {' in '.join(way[::-1])}"
+        message = f"group models contain each other: {' in '.join(way[::-1])}"
         raise Problem("", message).error()
     return path
 
@@ -200,8 +201,8 @@ class _Members:
         self._found, self._place, self._entry, self._declared = found, place, entry, declared
         self._path = place.inside[-1]
         self._tables = _found_from(self._path.parent, read_toml(self._path), beside=True)
-        self._problems: list[Problem] = []  # in the model
-        self._standing: tuple[str, Array] | None = None  # the robot that carries the objects
+        self._problems: list[Problem] = []  # errors in the model
+        self._standing: tuple[str, Array] | None = None  # name and base frame of the objects' robot
 
     def add(self) -> None:
         name = self._place.scope.removesuffix("_")
@@ -212,7 +213,7 @@ class _Members:
         above = {section: self._section(self._entry, section) for section in ("robots", "groups")}
         for section, key in ((s, key) for s, keys in above.items() for key in keys):
             if key not in known[section]:
-                reason, names = f"{_name_of(self._path)} has none", known[section]
+                reason, names = f"not a member of {_name_of(self._path)}", known[section]
                 problem = Problem(f"{section}.{key}", reason, available=names)
                 self._found.problems.append(where(problem, self._declared))
         for key, table in known["robots"].items():
@@ -237,7 +238,7 @@ class _Members:
         others = [name for name, table in known["groups"].items() if "model" not in table]
         members = self._tables.get("members", [name for name in every if name not in others])
         if not isinstance(members, list):
-            self._wrong("members", f"found {members!r}; expected names of robots and groups")
+            self._wrong("members", f"found {members!r}; expected a list of robots and groups")
             return every
         for name in (name for name in members if name not in every):
             near = did_you_mean(str(name), every)
@@ -272,7 +273,8 @@ class _Members:
     def _add_object(self, name: str, table: dict[str, Any]) -> None:
         key = f"objects.{name}"
         if self._standing is None:
-            self._wrong(key, "no robot to carry it that is neither mounted on another nor mirrored")
+            message = "no robot can carry it; expected one that is neither mounted nor mirrored"
+            self._wrong(key, message)
             return
         robot, T = self._standing
         with collect(self._problems, key):
@@ -320,11 +322,11 @@ def _merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any
 def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -> dict[str, Any]:
     """Returns tables in which models, meshes and MJCF files have absolute paths.
 
-    The name of an existing model is replaced by the `Path` of its file. Names are relative to
-    `folder`, and with `beside` also to its parent folder.
+    The name of an existing model is replaced by the `Path` of its file. Models are searched for in
+    `folder`, and also in its parent folder if `beside` is true.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
-    whole = folder.absolute()  # prevents a second prefix of file names
+    whole = folder.absolute()  # so that no other folder is put before file names later
     for section in _SECTIONS:
         entries = found.get(section)
         for table in entries.values() if isinstance(entries, dict) else ():

@@ -1,7 +1,7 @@
 """`Group`: robots with common routes and switches.
 
-A group lists robots and other groups. A route to an input of the group distributes the values to
-the robots in this order. A route to a switch of the group sets the switch of all robots.
+A group is an ordered list of robots and other groups. A route to an input of the group distributes
+the values to its robots in this order. A route to a switch of the group sets it for all robots.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from ...base.errors import Problem
 from .robot_parts import VALUE_INPUTS, ArrowQuantity, BillboardLines, Posed
 
 _MAX_MEMBERS = 400
-_MAX_REPORTED = 5  # unknown members of a group, because searching similar names takes time
+_MAX_REPORTED = 5  # unknown members reported per group, as searching similar names takes time
 
 
 class Group(Posed):
-    """An ordered group of robots with defaults for their fields.
+    """An ordered group of robots with common inputs, and with defaults for fields of the robots.
 
-    Fields declared for a robot, in its model or in its table, override the defaults of its group.
-    Defaults of inner groups override those of outer groups. None means no default. Values have one
-    entry per joint, or one per independent joint, of all robots in order.
+    A field that is declared for a robot, in its model or table, overrides the default of its group.
+    Defaults of inner groups override those of outer groups. None means that there is no default.
+    Per-joint arrays contain the joints (or the independent joints) of all robots in order.
 
     Attributes:
         name: name in routes, for example `justin` in `justin.joint_angles`.
@@ -46,13 +46,13 @@ class Group(Posed):
         axes_size: length of the axes, m.
         axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
         show_arrows: whether round arrows are shown.
-        arrow_quantity: quantity of the arrows.
+        arrow_quantity: quantity that the arrows show.
         arrow_dead_band: fraction of the limit below which no arrow is shown.
         arrow_radius: radius of the arrows, m.
         arrow_width_scale: arrow width per torque, m per Nm.
         show_billboards: whether billboards are shown.
-        billboard_scale: text height in units of 0.7 times the image height.
-        billboard_lines: lines of the billboards.
+        billboard_scale: text height as a fraction of 0.7 times the image height.
+        billboard_lines: quantities that the lines of the billboards show.
         elastic_joints: whether simulated joints are elastic.
     """
 
@@ -78,35 +78,35 @@ class Group(Posed):
     billboard_lines: BillboardLines = None
     elastic_joints: bool | None = None
 
-    # Files and keys of its tables if it has a model, for problems detected later.
+    # Files and keys of the tables of a group with a model, for problems that are detected later.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @property
     def defaults(self) -> dict[str, object]:
-        """Default values by field of the robots."""
+        """Default values of robot fields, by field name."""
         fields = [key for key in type(self).model_fields if key not in _OWN]
         return {key: getattr(self, key) for key in fields if getattr(self, key) is not None}
 
     def without_defaults(self) -> Group:
-        """Returns the group without poses and defaults."""
+        """Returns a copy of the group without initial values and defaults."""
         group = Group(name=self.name, robots=self.robots)
         group._declared = self._declared
         return group
 
 
-SHARED = ("joint_angles", *VALUE_INPUTS)  # values that are distributed to the robots
-_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields without defaults
+SHARED = ("joint_angles", *VALUE_INPUTS)  # fields whose values are distributed to the robots
+_OWN = ("name", "description", "robots", "joint_angles_deg", *SHARED)  # fields that set no default
 
 
 @dataclass(frozen=True)
 class Membership:
-    """The robots of all groups.
+    """The resolved members of all groups of a scene.
 
     Attributes:
-        members: names of the robots of each group, including those of inner groups.
-        around: names of the groups that contain a robot or group, inner groups first.
-        circles: names of groups that contain each other.
-        twice: groups that contain a robot twice, with the name of the robot.
+        members: robot names by group, including the robots of inner groups.
+        around: names of the groups that contain a robot or group, by its name, inner groups first.
+        circles: cycles of groups that contain each other, each as a list of names.
+        twice: name of a robot that a group contains twice, by group.
     """
 
     members: dict[str, list[str]]
@@ -116,7 +116,7 @@ class Membership:
 
 
 def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
-    """Resolves nested groups."""
+    """Resolves nested groups to robots. `groups` contains the declared members of each group."""
     found = Membership({}, {}, [], {})
 
     def visit(name: str, way: list[str]) -> list[str]:
@@ -151,7 +151,7 @@ def membership(groups: Mapping[str, Sequence[str]]) -> Membership:
 def group_problems(
     groups: Mapping[str, Group], found: Membership, declared: Collection[str]
 ) -> list[Problem]:
-    """Returns unknown and repeated members, cycles, and contradictory defaults.
+    """Returns problems with unknown or repeated members, cycles, and contradictory defaults.
 
     `declared` contains the names of all robots and groups, including invalid ones.
     """
@@ -169,10 +169,10 @@ def group_problems(
             )
     for circle in found.circles:
         way = " in ".join([*circle, circle[0]][::-1])
-        message = f"groups are in each other in a circle: {way}"
+        message = f"groups contain each other: {way}"
         problems.append(Problem(f"groups.{circle[0]}.robots", message))
     for name, each in found.twice.items():
-        message = f"'{each}' is in it twice, so its share of the values is ambiguous"
+        message = f"the group contains '{each}' twice, so its share of the values is ambiguous"
         problems.append(Problem(f"groups.{name}.robots", message))
     for name, around in found.around.items():
         if name not in groups:
@@ -190,6 +190,6 @@ def _contradictions(
             continue
         for key in sorted(first.keys() & second.keys()):
             if first[key] != second[key]:
-                message = f"'{robot}' is in {one} as well, which has another {key}"
+                message = f"'{robot}' is also in the group {one}, which has a different {key}"
                 problems.append(Problem(f"groups.{other}.{key}", message))
     return problems

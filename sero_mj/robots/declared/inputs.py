@@ -1,4 +1,4 @@
-"""The inputs of a scene, which routes set, and their slots in `userdata`."""
+"""The inputs of a scene, which routes set, and their slots in `userdata` of MuJoCo."""
 
 from __future__ import annotations
 
@@ -17,67 +17,70 @@ from .robot_parts import ARROW_QUANTITIES, VALUE_INPUTS
 from .scene import Scene, SceneToggles
 from .surroundings import Object
 
-# Contents of a source's slot.
+# Contents of the slot of a source. Most are numbers of packets. Times are in seconds, and -1 if the
+# event has not occurred.
 SOURCE_FIELDS = (
     "received",
     "malformed",
-    "age",  # s since the last valid packet, -1 if there was none
-    "wrong_size",  # count, included in malformed
-    "last_size",  # bytes of the last packet of a wrong size
-    "size",  # bytes expected
-    "fault_age",  # s since the last malformed packet, -1 if there was none
-    "not_frames",  # count, included in malformed
-    "wrong_constant",  # count, included in malformed
-    "wrong_checksum",  # count, included in malformed
-    # State of the robot controller and of its connection, as numbers that the kind of source
-    # defines, or -1.
+    "age",  # time since the last valid packet
+    "wrong_size",  # included in malformed
+    "last_size",  # size of the last packet of a wrong size, bytes
+    "size",  # expected size of a packet, bytes
+    "fault_age",  # time since the last malformed packet
+    "not_frames",  # included in malformed
+    "wrong_constant",  # included in malformed
+    "wrong_checksum",  # included in malformed
+    # Each kind of source defines numbers for the states of the robot controller and of its
+    # connection; -1 if there are none.
     "robot_state",
     "link_quality",
     "lost",  # missing sequence numbers
-    "late",  # out of order: arrived after a later packet
+    "late",  # packets that arrived after a later packet
     "duplicates",
-    "restarts",  # of the sender's sequence
-    "dropped",  # by the kernel
+    "restarts",  # restarts of the sender's sequence
+    "dropped",  # packets that the kernel dropped
     "senders",  # number of concurrent senders
-    "link_age",  # s since the last loss, duplicate, restart or drop, -1 if there was none
+    "link_age",  # time since the last loss, duplicate, restart or drop
     "foreign",  # packets from other senders than the configured `sender`
-    "foreign_age",  # s since the last packet of another sender, -1 if there was none
-    "implausible",  # count, included in malformed
+    "foreign_age",  # time since the last packet of another sender
+    "implausible",  # included in malformed
     "failures",  # exceptions of the receiving thread, which was then restarted
-    "is_failing",  # 1 after a failure until a packet arrives or 10 s have passed
+    "is_failing",  # 1 after a failure, until a packet arrives or 10 s have passed
 )
-# Toggles that packets can set: values above 0.5 are on. `arrow_quantity` is an index.
+# Toggles that packets can set. A value above 0.5 means on. `arrow_quantity` is an index.
 OWNER_TOGGLES = ("show_arrows", "show_billboards", "show_axes", "arrow_quantity")
 # Inputs of every robot, in addition to its own `inputs`.
 ROBOT_INPUTS = ("joint_angles", *VALUE_INPUTS, "base_frame", "flange_check", *OWNER_TOGGLES)
 _TORQUES = ("torques", "commanded_torques", "joint_accelerations")
-SCENE = "toggles"  # owner of switches of the whole scene, such as `toggles.legend`
+SCENE = "toggles"  # name of the inputs of the whole scene, such as `toggles.legend`
 
 InputKind = Literal["angles", "values", "pose", "frame", "vector", "toggle"]
-# Kinds in which NaN means "no data". For other kinds, which move something, NaN is an error.
+# Kinds of inputs in which NaN means "no data". Other kinds move something, so NaN is an error.
 BLANKABLE = ("values", "vector", "toggle", "frame")
 POSE_NUMBERS = ("x", "y", "z", "qw", "qx", "qy", "qz")  # alternative to a matrix
 PLANAR = ("x", "y", "yaw")  # alternative to the matrix of a planar base
-_UNIT_TOLERANCE = 1e-2  # of the length of a quaternion
+_UNIT_TOLERANCE = 1e-2  # deviation of the norm of a quaternion from 1
 # Maximum magnitudes of valid values. They are far above those of any robot, and far below those
-# that break images: at 1e6 m, float32 resolves 6 cm.
-MAX_ANGLE = 1e6  # rad, or m for prismatic joints: 160,000 turns
+# that break images, because float32 resolves 6 cm at 1e6 m.
+MAX_ANGLE = 1e6  # rad (160,000 rotations), or m for prismatic joints
 MAX_POSITION = 1e6  # m
-MAX_TORQUE = 1e9  # Nm or N, and rad/s^2 or m/s^2 for accelerations
-MAX_OTHER = 1e15  # numbers of any unit that are only displayed
+MAX_TORQUE = 1e9  # Nm or N, or rad/s^2 or m/s^2 for accelerations
+MAX_OTHER = 1e15  # values of any unit that are only displayed
 
 
 @dataclass(frozen=True)
 class Input:
-    """One input of a scene, the target of a route.
+    """One input of a scene, such as `lwr.joint_angles`, which is the target of a route.
 
     Attributes:
+        name: name of the owner, for example `lwr`.
+        key: name of the input of this owner, for example `joint_angles`.
         shape: shape of the values: (n,), (3,), (4, 4) or (1,).
-        kind: `angles` move a robot or double, `values` are shown at joints, a `pose` moves a
-            base, object or camera, a `frame` is stored, a `vector` is shown by an arrow, and a
+        kind: purpose: `angles` move a robot or double, `values` are shown at joints, a `pose` moves
+            a base, object or camera, a `frame` is stored, a `vector` is shown as an arrow, and a
             `toggle` switches a feature on or off.
-        coupled: couplings of the joints, or None. With couplings, values of the independent joints
-            are sufficient.
+        coupled: couplings of the joints, or None. If set, the input also accepts values of the
+            independent joints only.
     """
 
     name: str
@@ -113,7 +116,7 @@ class Input:
 
     @property
     def is_pose(self) -> bool:
-        """Whether the input is a pose, as a matrix or as other numbers."""
+        """Whether the values describe a pose."""
         return self.kind in ("pose", "frame")
 
     @property
@@ -129,7 +132,7 @@ class Input:
 
 
 def list_inputs(scene: Scene) -> dict[str, Input]:
-    """Returns all inputs of a scene by `name.key`."""
+    """Returns all inputs of a scene by target, for example `lwr.joint_angles`."""
     inputs: list[Input] = []
 
     def add(name: str, shape: tuple[int, ...], kind: InputKind, *keys: str) -> None:
@@ -143,7 +146,7 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 
     for name, robot in scene.robots.items():
         add_per_joint(name, robot)
-        if robot.mount is None:  # otherwise its carrier moves it
+        if robot.mount is None:  # otherwise another robot moves the base
             add(name, (4, 4), "pose", "base_frame")
         add(name, (4, 4), "frame", "flange_check")
         add(name, (1,), "toggle", *OWNER_TOGGLES)
@@ -167,11 +170,11 @@ def list_inputs(scene: Scene) -> dict[str, Input]:
 def inputs_of_group(
     inputs: Mapping[str, Input], group: str, key: str, members: Sequence[str]
 ) -> list[Input]:
-    """Returns the inputs of the members for an input of their group, in order.
+    """Returns the inputs of the group's members that an input of the group sets, in order.
 
     Raises:
-        UnknownName: no member has this input.
-        ValueError: some members lack this input, or several members have it and it is a frame.
+        UnknownName: no member has an input with this key.
+        ValueError: the input is a frame of several members, or not all members have it.
     """
     found = {name: inputs.get(f"{name}.{key}") for name in members}
     items = [item for item in found.values() if item is not None]
@@ -182,20 +185,22 @@ def inputs_of_group(
     if items[0].shape == (4, 4):
         if len(items) > 1:
             names = ", ".join(having)
-            raise ValueError(f"there is one frame, and {key} of {names}; expected one of these")
+            message = f"one frame cannot set {key} of several robots ({names})"
+            raise ValueError(f"{message}; expected a single robot")
         return items
     if len(items) < len(members):
         lacking = ", ".join(name for name in members if name not in having)
         message = f"'{key}' is an input of {', '.join(having)}, but not of {lacking}"
-        raise ValueError(f"{message}; expected it in all of {group}")
+        raise ValueError(f"{message}; expected an input that all robots of {group} have")
     return items
 
 
 def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
-    """Distributes values of all or of the independent joints to the members of a group.
+    """Distributes the values of an input of a group to the corresponding inputs of its members.
 
-    A switch is set for all members. Raises ValueError if the number of values is wrong, or if
-    values that move something are not finite.
+    Per-joint values may be those of all joints or of the independent joints. Other values are set
+    for all members. Raises DeclarationError if the number of values is wrong, or if joint angles
+    are not finite.
     """
     if items[0].kind not in ("angles", "values"):
         return [values] * len(items)
@@ -209,19 +214,18 @@ def share_out(items: Sequence[Input], target: str, values: Any) -> list[Any]:
             found = str(array.tolist())
         each = ", ".join(f"{item.name} {item.count}" for item in items)
         fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
-        finite = "" if items[0].kind in BLANKABLE else " finite numbers"
-        raise Problem(
-            target, f"found {found}", expected=f"{sum(full)}{finite}: {each}{fewer}"
-        ).error()
+        finite = "" if items[0].kind in BLANKABLE else "finite "
+        expected = f"{sum(full)} {finite}numbers ({each}){fewer}"
+        raise Problem(target, f"found {found}", expected=expected).error()
     return np.split(array, np.cumsum(counts)[:-1])
 
 
 def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
-    """Returns the frame (4, 4) that numbers of a packet describe; NaN if they are not a pose.
+    """Converts the numbers of a packet to a frame, shape (4, 4), or to NaN if they are not a pose.
 
     Args:
-        numbers: rows of a matrix, (16,); x, y, z and a unit quaternion w, x, y, z, (7,); or x, y
-            and yaw of a planar base, (3,). Units are m and rad.
+        numbers: 16 numbers of a 4x4 matrix in row-major order, 7 numbers (x, y, z and a unit
+            quaternion w, x, y, z), or 3 numbers (x, y and yaw of a planar base), m and rad.
         robot: robot with the planar base, or None.
     """
     if len(numbers) == len(PLANAR) and robot is not None:
@@ -235,7 +239,7 @@ def frame_of_numbers(numbers: Array, robot: SerialRobot | None = None) -> Array:
 
 
 def numbers_of_frame(T: Array, count: int, robot: SerialRobot | None = None) -> Array:
-    """Returns the numbers (count,) that describe a frame, the inverse of `frame_of_numbers`."""
+    """Returns the numbers that describe a frame, shape (count,): inverse of `frame_of_numbers`."""
     if count == len(PLANAR) and robot is not None:
         return robot.planar_base.place(T)
     if count == len(POSE_NUMBERS):
@@ -248,7 +252,7 @@ def _can_be_moved(item: Object) -> bool:
 
 
 def moving(scene: Scene) -> set[str]:
-    """Returns the objects and cameras that routes move. They need their own bodies."""
+    """Returns names of the objects and cameras that routes move, so they need their own bodies."""
     names = {item.name for item in scene.objects} | set(scene.cameras)
     return {
         name
@@ -258,11 +262,11 @@ def moving(scene: Scene) -> set[str]:
 
 
 def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]:
-    """Allocates slots in `userdata` for all inputs and sources.
+    """Allocates slots in `userdata` of MuJoCo for all inputs and sources of a scene.
 
     Returns:
-        Slots by name (`lwr.torques`, `sources.udp`), indices of the flags that mark inputs as set,
-        and the length of `userdata`.
+        Slots by name (`lwr.torques`, `sources.udp`), indices of flags by input, which store
+        whether the input is set, and the length of `userdata`.
     """
     lengths: dict[str, int] = {}
     inputs = list_inputs(scene)
@@ -280,13 +284,14 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
 
 
 def to_array(item: Input, values: Any) -> Array:
-    """Returns the values of an input as an array, which is empty if they are not numeric.
+    """Converts the values of an input to an array, which is empty if they are not numeric.
 
-    Converts the name of an arrow quantity to its index, and adds missing coupled joints.
+    The name of an arrow quantity is converted to its index. Values of coupled joints are added if
+    `values` contains independent joints only.
     """
     if isinstance(values, str) and item.key == "arrow_quantity" and values in ARROW_QUANTITIES:
         values = ARROW_QUANTITIES.index(values)
-    if values is None or isinstance(values, str | bytes):  # numpy would read "12" and None
+    if values is None or isinstance(values, str | bytes):  # NumPy would convert "12" and None
         return np.empty(0)
     try:
         array = np.asarray(values, dtype=np.float64)
@@ -299,7 +304,7 @@ def to_array(item: Input, values: Any) -> Array:
 
 
 def to_frame(target: str, values: Array) -> Array:
-    """Returns a frame (4, 4). Raises DeclarationError with the name of an invalid input."""
+    """Returns the frame (4, 4) for an input. Raises DeclarationError with the key `target`."""
     try:
         return frame_from(values, numbers)
     except ValueError as error:

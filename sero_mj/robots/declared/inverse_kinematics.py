@@ -16,24 +16,25 @@ from . import joint_ranges
 from .robot import SerialRobot
 
 ITERATIONS = 60
-CLOSE = 1e-3  # m or rad; a goal with a smaller error is reached
-_DAMPING = 1e-4  # m2 and rad2
-_MAX_STEP = 0.2  # rad or m per iteration
-_AT_LIMIT = 1e-6  # rad or m
-_POSTURE_GAIN = 0.5  # fraction of the way to the posture, per iteration
-_MIN_POSTURE_STEP = 1e-4  # rad or m; smaller null-space steps end the iteration
-# Maps joint values to a frame (4, 4), m, and its Jacobian (6, n), with linear rows first.
+CLOSE = 1e-3  # maximum error of a goal that is reached, m or rad
+_DAMPING = 1e-4  # squared damping factor, m2 and rad2
+_MAX_STEP = 0.2  # maximum joint motion per iteration, rad or m
+_AT_LIMIT = 1e-6  # maximum distance of a joint at its limit, rad or m
+_POSTURE_GAIN = 0.5  # fraction of the distance to the posture per iteration
+_MIN_POSTURE_STEP = 1e-4  # null-space step at which the iteration ends, rad or m
+# Function of joint values that returns a frame (4, 4) and its Jacobian (6, n), linear part first
 Place = Callable[[Array], tuple[Array, Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Reached:
-    """The result of the inverse kinematics.
+    """The result of the inverse kinematics, with the remaining errors.
 
     Attributes:
+        angles: joint values, shape (n,), rad or m.
         distance: remaining distance to the goal, m.
         angle: remaining rotation to the goal, rad; 0 for a goal without orientation.
-        at_limit: mask (n,) of joints at a position limit.
+        at_limit: mask of the joints at a position limit, shape (n,).
     """
 
     angles: Array
@@ -47,17 +48,16 @@ class Reached:
 
 
 def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
-    """Returns a function from the independent joint values to a frame of a robot.
+    """Returns a function of the independent joint values that computes a frame and its Jacobian.
 
     Args:
-        base: T_world_base (4, 4), m.
-        link: index of the link of the frame, 0 for the base.
-        at: T_link_frame (4, 4), m.
+        robot: robot to which the frame is fixed.
+        base: pose T_world_base of the robot, shape (4, 4), m.
+        link: index of the link to which the frame is fixed, 0 for the base.
+        at: pose T_link_frame, shape (4, 4), m.
     """
     tree, coupled = robot.kinematics, robot.coupled
-    follows: Array = np.zeros(
-        (coupled.n, coupled.k)
-    )  # maps rates of independent joints to all joints
+    follows: Array = np.zeros((coupled.n, coupled.k))  # rates of all joints per independent rate
     follows[np.arange(coupled.n), coupled.source] = coupled.ratio
 
     def place(angles: Array) -> tuple[Array, Array]:
@@ -74,7 +74,7 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
 
 
 def independent_limits(robot: SerialRobot) -> Array | None:
-    """Returns limits (k, 2) of the independent joints that also satisfy those of coupled joints."""
+    """Returns limits of independent joints that respect those of coupled joints, shape (k, 2)."""
     if robot.position_limits is None:
         return None
     return joint_ranges.independent_limits(robot.position_limits, robot.coupled)
@@ -90,14 +90,16 @@ def reach(
     posture: Array | None = None,
     iterations: int = ITERATIONS,
 ) -> Reached:
-    """Returns joint values that bring a frame as close as possible to a pose, within the limits.
+    """Searches for joint values within the limits that move a frame as close as possible to a goal.
 
     Args:
-        goal: T_world_frame (4, 4), m.
+        place: function that computes the frame and its Jacobian, such as `frame_place` returns.
+        goal: desired pose T_world_frame, shape (4, 4), m.
         angles: initial joint values, shape (n,), rad or m.
         limits: position limits, shape (n, 2), rad or m, or None.
         turns: whether the goal includes the orientation.
-        posture: target of the null space, shape (n,), rad or m, or None.
+        posture: joint values that the null-space motion approaches, shape (n,), rad or m, or None.
+        iterations: maximum number of iterations.
     """
     error: Array = np.zeros(6)
     rows = slice(None) if turns else slice(0, 3)
@@ -138,7 +140,6 @@ def _turn(rotation: Array) -> tuple[Array, float]:
 def _step(
     jacobian: Array, error: Array, angles: Array, limits: Array | None, inner: Array | None
 ) -> Array:
-    """Returns a step towards the pose in which joints stop at their limits."""
     m, n = jacobian.shape
     low, high = (np.full(n, -np.inf), np.full(n, np.inf)) if limits is None else limits.T
     free: Array = np.ones(n)

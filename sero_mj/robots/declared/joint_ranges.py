@@ -1,8 +1,8 @@
 """Finite ranges of joints for sliders, example motions and learning.
 
-Position limits may be missing, infinite, or placeholders, such as 1e6 m in URDF files, which must
-declare limits. The simulation uses the limits as declared. Sliders, random poses and actions need
-finite ranges.
+Position limits may be missing, infinite, or placeholders, such as 1e6 m in a URDF file, because
+URDF requires limits. The simulation uses the declared limits. Sliders, random poses and actions of
+agents need finite ranges.
 """
 
 from __future__ import annotations
@@ -15,14 +15,14 @@ from ...base.frames import Array
 from ..importers.robot_tree import NO_LIMIT
 from .couplings import CoupledJoints
 
-REVOLUTE, PRISMATIC = np.pi, 1.0  # rad and m to either side of zero, without a limit
-_MIN_SHARE = 0.01  # of the range of a driving joint that its coupled joints must allow
+REVOLUTE, PRISMATIC = np.pi, 1.0  # half ranges of joints without limits, rad and m
+_MIN_SHARE = 0.01  # fraction of the range of a driving joint that its coupled joints must allow
 
 
 def plausible_limits(position_limits: Array | None, n: int) -> Array:
-    """Returns position limits (n, 2), rad or m, with infinity for missing limits and placeholders.
+    """Replaces missing position limits and placeholders by infinity.
 
-    A limit of 1000 rad or m (`NO_LIMIT`) or more is a placeholder.
+    A limit of 1000 rad or m (`NO_LIMIT`) or more is a placeholder. Returns limits, shape (n, 2).
     """
     if position_limits is None:
         return np.tile([-np.inf, np.inf], (n, 1))
@@ -31,9 +31,10 @@ def plausible_limits(position_limits: Array | None, n: int) -> Array:
 
 
 def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
-    """Returns limits (k, 2) of the independent joints that also satisfy those of coupled joints.
+    """Returns limits of independent joints that respect those of coupled joints, shape (k, 2).
 
-    Limits of coupled joints are ignored if they allow less than 1 % of the range of a joint.
+    The limits of coupled joints are ignored if they allow less than 1 % of the driving joint's
+    range.
     """
     own = limits[coupled.independent]
     found = own.copy()
@@ -49,11 +50,11 @@ def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
 def display_ranges(
     position_limits: Array | None, types: Sequence[str], home: Array, coupled: CoupledJoints
 ) -> Array:
-    """Returns finite lower and upper limits (n, 2) of all joints, rad or m.
+    """Returns finite lower and upper limits of all joints, shape (n, 2), rad or m.
 
     A missing limit is replaced by ±π rad for a revolute joint and by ±1 m for a prismatic joint. If
-    the other limit or the home position is outside this range, the replacement has this distance
-    from it. The range of a driving joint satisfies the limits of its coupled joints.
+    the other limit or the home position is outside this range, the replacement is π rad or 1 m away
+    from it. The range of a driving joint respects the limits of its coupled joints.
     """
     limits = plausible_limits(position_limits, len(types))
     if not coupled.is_coupled:

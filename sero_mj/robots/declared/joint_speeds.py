@@ -12,8 +12,8 @@ from .robot import SerialRobot
 
 Use = Literal["shown", "target", "agent", "runaway"]
 
-# rad/s of revolute and m/s of prismatic joints, by purpose: display, targets of controllers,
-# actions of agents, and the threshold for a runaway joint in simulation.
+# Default velocity limits by purpose for revolute (rad/s) and prismatic (m/s) joints: display,
+# targets of controllers, actions of agents, and threshold for a runaway joint in simulation.
 UNDECLARED: Mapping[Use, tuple[float, float]] = {
     "shown": (4.0, 1.0),
     "target": (1.5, 0.5),
@@ -23,12 +23,12 @@ UNDECLARED: Mapping[Use, tuple[float, float]] = {
 
 
 def undeclared_speeds(robot: SerialRobot, use: Use) -> Array:
-    """Returns the default velocity limits (n,), rad/s or m/s."""
+    """Returns the default velocity limits of the joints for a purpose, shape (n,), rad/s or m/s."""
     turns, slides = UNDECLARED[use]
     return np.array([turns if kind == "revolute" else slides for kind in robot.types])
 
 
 def joint_speeds(robot: SerialRobot, use: Use) -> Array:
-    """Returns the velocity limits (n,), rad/s or m/s, with defaults for missing limits."""
+    """Returns declared or else default velocity limits of the joints, shape (n,), rad/s or m/s."""
     speeds, limits = undeclared_speeds(robot, use), robot.velocity_limits
     return speeds if limits is None else np.where(np.isfinite(limits), limits, speeds)

@@ -1,4 +1,4 @@
-"""Limbs: unbranched parts of a robot, used to route, switch and show many joints at once."""
+"""Limbs are unbranched parts of a robot. They group joints in routes, toggles and panels."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...base.errors import Problem
 
 _SMALL = r"[^\W\d_A-Z]"  # any letter except ASCII capitals
 _WORDS = re.compile(rf"[A-Z]+(?!{_SMALL})|[A-Z]?{_SMALL}+|\d+")
-_GENERIC_WORDS = ("joint", "j")  # words that, like numbers, do not identify a limb
+_GENERIC_WORDS = ("joint", "j")  # words that do not identify a limb
 # Words that identify a part of the body, for limbs whose joint names share no word.
 _PARTS = {
     "arm": ("shoulder", "elbow", "forearm", "wrist"),
@@ -25,12 +25,16 @@ _PART_OF = {word: part for part, words in _PARTS.items() for word in (part, *wor
 def find_limbs(
     names: Sequence[str], carriers: Sequence[int], followed: Mapping[str, str]
 ) -> dict[str, list[int]]:
-    """Returns the joint indices of all limbs by name. Each joint belongs to exactly one limb.
+    """Returns the joint indices of each limb, by name. Each joint belongs to exactly one limb.
 
     A limb is a maximal sequence of joints in which each joint is the only child of the previous
-    one. A sequence of coupled joints belongs to the limb of the driving joint in `followed`. The
-    name of a limb is the common part of its joint names, or else the first and the last name. A
-    carrier is 0 for the base and i for joint i.
+    one. A sequence of coupled joints belongs to the limb of its driving joint. The name of a limb
+    is the common part of its joint names, or else consists of the first and the last joint name.
+
+    Args:
+        names: joint names.
+        carriers: number of the parent joint of each joint, from 1, or 0 for the base.
+        followed: driving joints by the names of coupled joints.
     """
     on = Counter(carriers)
     runs: list[list[int]] = []
@@ -50,12 +54,12 @@ def find_limbs(
 
 
 def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> list[Problem]:
-    """Returns names and joints of declared limbs that are unknown or used twice."""
+    """Returns problems with names and joints of declared limbs that are unknown or used twice."""
     problems = []
     limb_of: dict[str, str] = {}
     for limb, joints in limbs.items():
         if limb in names and list(joints) != [limb]:
-            message = "a joint has this name; expected another one"
+            message = "a joint already has this name; expected a different name"
             problems.append(Problem(limb, message))
         if not joints:
             problems.append(Problem(limb, "found no joints; expected one or more"))
@@ -63,7 +67,7 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
             if joint not in names:
                 problems.append(Problem(f"{limb}.{i}", "no joint", found=joint, available=names))
             elif joint in limb_of:
-                message = f"{joint} is in {limb_of[joint]} already; expected it in one limb"
+                message = f"{joint} is already in {limb_of[joint]}; expected it in only one limb"
                 problems.append(Problem(f"{limb}.{i}", message))
             limb_of.setdefault(joint, limb)
     return problems
@@ -72,7 +76,7 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
 def all_limbs(
     names: Sequence[str], found: Mapping[str, list[int]], declared: Mapping[str, Sequence[str]]
 ) -> dict[str, list[int]]:
-    """Returns the declared limbs, and the limbs in `found` without the joints of declared limbs."""
+    """Returns declared limbs, and limbs of the remaining joints from `found`, as joint indices."""
     index = {name: i for i, name in enumerate(names)}
     limbs = {limb: [index[joint] for joint in joints] for limb, joints in declared.items()}
     taken = {i for joints in limbs.values() for i in joints}
@@ -111,7 +115,7 @@ def _ends(names: Sequence[str], run: Sequence[int]) -> str:
 
 
 def limb_name(joints: Sequence[str]) -> str:
-    """Returns the common part of joint names; may be empty."""
+    """Returns the words that all joint names share, joined by `_`; may be empty."""
     if len(joints) == 1:
         return joints[0]
     words = [_WORDS.findall(name) for name in joints]

@@ -1,7 +1,7 @@
-"""Robots mounted on frames of other robots: order, poses and errors.
+"""Robots that are mounted on frames of other robots: their order, poses and errors.
 
 A robot with `mount = "arm/flange"` is carried by the robot `arm`. Its `base_frame` is relative to
-this frame. Mounted robots form trees whose roots are placed in the world.
+this frame. Mounted robots form trees, and the roots of the trees are placed in the world.
 """
 
 from __future__ import annotations
@@ -20,18 +20,18 @@ from .robot_parts import frame_labels
 
 
 def carrier(robot: SerialRobot) -> str | None:
-    """Returns the name of the robot that carries a robot, or None."""
+    """Returns the name of the robot on which `robot` is mounted, or None."""
     return None if robot.mount is None else robot.mount.partition("/")[0]
 
 
 def mount_labels(robot: SerialRobot) -> list[str]:
-    """Returns the labels that may follow `NAME/` in a `mount`: base, links, flange and axes."""
+    """Returns the labels of the frames on which other robots can be mounted, such as `flange`."""
     axes = [child.name for child in robot.children if child.shape == "axes"]
     return [*frame_labels(robot.n), *axes]
 
 
 def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
-    """Returns the robots with a `mount` on a named joint or link, converted to `icub/link9`."""
+    """Returns robots whose `mount` names a joint or link, with the frame name (`icub/link9`)."""
     found = {}
     for name, robot in robots.items():
         below, _, label = (robot.mount or "").partition("/")
@@ -41,7 +41,7 @@ def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobo
 
 
 def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
-    """Returns the names of the robots that carry a robot, nearest first."""
+    """Returns the names of the robots that carry a robot directly or indirectly, nearest first."""
     found: list[str] = []
     below = carrier(robots[name])
     while below is not None and below in robots and below not in (name, *found):
@@ -51,15 +51,15 @@ def carriers(robots: Mapping[str, SerialRobot], name: str) -> list[str]:
 
 
 def mount_circles(robots: Mapping[str, SerialRobot]) -> list[list[str]]:
-    """Returns the cycles of robots that carry each other, by their names."""
+    """Returns the cycles of robots that are mounted on each other, as lists of names."""
     ways = [[name, *carriers(robots, name)] for name in robots]
     return [way for way in ways if carrier(robots[way[-1]]) == way[0] == min(way)]
 
 
 def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
-    """Returns the names of all robots, carriers first, and otherwise in the order of declaration.
+    """Returns the names of all robots, each after the robot on which it is mounted.
 
-    Raises CycleError if robots carry each other in a cycle.
+    Raises `graphlib.CycleError` if robots are mounted on each other in a cycle.
     """
     carriers = {name: carrier(robot) for name, robot in robots.items()}
     after = {name: {each} & set(robots) if each else set() for name, each in carriers.items()}
@@ -67,7 +67,7 @@ def mount_order(robots: Mapping[str, SerialRobot]) -> list[str]:
 
 
 def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, int]:
-    """Returns the name of the carrier of a mounted robot, and the index of the link."""
+    """Returns the robot and the link index on which the robot `name` is mounted."""
     below, _, label = (robots[name].mount or "").partition("/")
     robot = robots[below]
     label = next((child.on for child in robot.children if child.name == label), label)
@@ -76,7 +76,10 @@ def carrying_link(robots: Mapping[str, SerialRobot], name: str) -> tuple[str, in
 
 
 def mount_pose(robot: SerialRobot, label: str, frames: Array) -> Array:
-    """Returns T_base_mount (..., 4, 4) of a mount label, from the frames of the kinematics."""
+    """Returns the pose of the frame with a label such as `flange`, on which robots are mounted.
+
+    `frames` contains the poses of the base and the links, shape (..., n + 1, 4, 4), in m.
+    """
     if label == "base":
         return frames[..., 0, :, :]
     if label.startswith("link") and label[4:].isdigit():
@@ -92,11 +95,11 @@ def base_frames(
     joint_angles: Mapping[str, ArrayLike] | None = None,
     placed: Mapping[str, Array] | None = None,
 ) -> dict[str, Array]:
-    """Returns T_world_base (..., 4, 4) of all robots by name.
+    """Returns the base frames T_world_base of all robots by name, shape (..., 4, 4).
 
     Args:
-        joint_angles: joint values (..., n) by robot, rad or m (default: the declared values).
-        placed: T_world_base (..., 4, 4) of robots that are not at their declared frames.
+        joint_angles: joint values by robot, shape (..., n), rad or m (default: declared values).
+        placed: base frames T_world_base that replace declared ones, by robot, shape (..., 4, 4).
     """
     bases: dict[str, Array] = {}
     for name in mount_order(robots):
@@ -112,7 +115,7 @@ def base_frames(
 
 
 def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
-    """Returns the same robot, placed in the world without a mount."""
+    """Returns a copy of the robot that is fixed in the world instead of mounted or free."""
     is_fixed = robot.mount is None and not robot.free_base
     if is_fixed and np.array_equal(T_world_base, robot.base_frame):
         return robot
@@ -121,9 +124,9 @@ def unmounted(robot: SerialRobot, T_world_base: Array) -> SerialRobot:
 
 
 def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]) -> list[Problem]:
-    """Returns mounts on unknown frames, and cycles of mounts.
+    """Returns problems with mounts on unknown frames, and with cycles of mounts.
 
-    Mounts on invalid robots (`broken`) are not reported, because these are reported elsewhere.
+    Mounts on robots that are `broken` are ignored, because the robots themselves are reported.
     """
     problems = []
     frames = [f"{name}/{label}" for name, robot in robots.items() for label in mount_labels(robot)]
@@ -136,11 +139,11 @@ def mount_problems(robots: Mapping[str, SerialRobot], broken: Mapping[str, bool]
             others = [each for each in others if each.partition("/")[0] == below]
         problem = Problem(f"robots.{name}.mount", "no frame", found=robot.mount, available=others)
         if below in robots and "/" not in robot.mount:
-            expected = f"a frame of it: {', '.join(others)}"
+            expected = f"one of its frames: {', '.join(others)}"
             problem = replace(problem, expected=expected, available=None)
         problems.append(problem)
     for circle in mount_circles(robots):
         way = " on ".join([*circle, circle[0]])
-        message = f"robots are mounted on each other in a circle: {way}"
+        message = f"robots are mounted on each other in a cycle: {way}"
         problems.append(Problem(f"robots.{circle[0]}.mount", message))
     return problems

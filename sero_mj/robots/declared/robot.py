@@ -1,6 +1,6 @@
 """`SerialRobot`: a robot declared by a Denavit-Hartenberg table and link geometry (Fig. 3).
 
-Robots from URDF and MJCF have individual joint frames instead of a table, and may form a tree.
+Robots from URDF and MJCF may have joint frames instead of a table, and their joints may branch.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class SerialRobot(RobotDeclaration):
     """
 
     def frame_label(self, label: str) -> str:
-        """Translates the name of a joint or an original link, for example to `link3`."""
+        """Converts the name of a joint or an original link to a frame name such as `link3`."""
         others = [child.name for child in self.children]
         return label if label in others else frame_label(label, self.names, self.link_names)
 
@@ -78,11 +78,12 @@ class SerialRobot(RobotDeclaration):
         """Reads a robot file and overrides its fields.
 
         Args:
-            model: name of an included robot (`lwr`), folder with a `robot.toml`, or file: TOML, or
-                a format with an importer.
+            model: name of an included robot (`lwr`), folder with a `robot.toml`, or path of a TOML
+                file or of a file that an importer can read.
+            **overrides: fields of `SerialRobot`, which override those of the file.
 
         Raises:
-            UnknownName: there is no such model.
+            UnknownName: no robot has this name.
             DeclarationError: the file or the overrides are invalid.
         """
         path = paths.find_model(model)
@@ -96,15 +97,18 @@ class SerialRobot(RobotDeclaration):
         arguments: Mapping[str, Any] | None = None,
         **overrides: Any,
     ) -> SerialRobot:
-        """Reads a URDF file, or xacro if the package `xacro` is installed.
+        """Reads a URDF file, or a xacro file if the package `xacro` is installed.
 
-        A serial chain is converted to a Denavit-Hartenberg table with the same frames if possible,
+        If possible, a serial chain is converted to a Denavit-Hartenberg table with the same frames,
         and otherwise to `joint_frames`. Links that are fixed to each other are merged. Losses, such
         as missing meshes, are logged as warnings.
 
         Args:
+            path: URDF or xacro file.
             packages: folders of ROS packages by name, for `package://NAME/...`. Other packages are
                 searched for in the folders above the file and in paths from the environment.
+            arguments: values of xacro arguments by name.
+            **overrides: fields of `SerialRobot`, which override those of the file.
 
         Raises:
             DeclarationError: the file or the overrides are invalid.
@@ -117,7 +121,9 @@ class SerialRobot(RobotDeclaration):
         """Reads a robot from MJCF, with all hinge and slide joints that actuators drive.
 
         Args:
-            source: file, text that starts with `<`, `mujoco.MjSpec`, or PyMJCF or composer object.
+            source: file name, text that starts with `<`, `mujoco.MjSpec`, PyMJCF element, or
+                dm_control composer entity.
+            **overrides: fields of `SerialRobot`, which override those of the model.
 
         Raises:
             DeclarationError: the model is invalid or has no joints.
@@ -134,7 +140,7 @@ class SerialRobot(RobotDeclaration):
 
     @cached_property
     def kinematics(self) -> JointTree:
-        """The DH table or the joint frames."""
+        """The joint tree, computed from the DH table or the joint frames."""
         revolute = np.array([kind == "revolute" for kind in self.types])
         table: JointTree
         if self.joint_frames is not None:
@@ -155,14 +161,14 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def carriers(self) -> Ints | None:
-        """Indices (n,) of the parent frames of joints, 0 for the base; None for a chain."""
+        """Index of the parent frame of each joint, shape (n,), 0 for the base; None for a chain."""
         if self.parents is None:
             return None
         return np.array([link_of_parent(each, self.names) for each in self.parents], np.intp)
 
     @property
     def planar_base(self) -> PlanarBase:
-        """Motion of a planar base."""
+        """The plane and zero pose of the motion of a `planar` base."""
         normal = self.base_normal * ([1, -1, 1] if self.mirrored else 1)
         return PlanarBase(self.base_frame, rotation_to_z(np.eye(3), normal).T)
 
@@ -173,29 +179,29 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def flange_joints(self) -> Ints:
-        """Indices of the joints that move the flange, in order from the base."""
+        """Indices of the joints that move the flange, starting at the base."""
         return np.flatnonzero(self.kinematics.moves[self.flange_link])
 
     @property
     def has_geometry(self) -> bool:
-        """Whether the geometry of the links is declared, not generated."""
+        """Whether the geometry of the links is declared. If not, shapes are generated."""
         return bool(self.filenames) or self.mjcf is not None
 
     @property
     def is_foreign(self) -> bool:
-        """Whether the robot is from URDF or MJCF, where the base can be anywhere in the robot."""
+        """Whether the robot is from URDF or MJCF, so its base may be above its lowest point."""
         return self.mjcf is not None or (
             self._model is not None and self._model.suffix in paths.robot_endings()
         )
 
     @property
     def T_n_flange(self) -> Array:
-        """Pose (4, 4) of the flange in the frame of its link: `flange_frame`, or mirrored."""
+        """Pose of the flange in the frame of its link, shape (4, 4), m, mirrored if required."""
         return MIRROR @ self.flange_frame @ MIRROR if self.mirrored else self.flange_frame
 
     @property
     def link_poses(self) -> dict[str, tuple[int, Array]]:
-        """Link index and T_link_original (4, 4) of each link of the original file, by name."""
+        """Link index and pose T_link_original (4, 4) of each link of the original file, by name."""
         links = {label: i for i, label in enumerate(frame_labels(self.n))}
         return {
             name: (links[at.on], MIRROR @ at.frame @ MIRROR if self.mirrored else at.frame)
@@ -204,7 +210,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def child_frames(self) -> list[Array]:
-        """T_on_child (4, 4) of all children: as declared, or mirrored."""
+        """Poses (4, 4) of the children in the frames to which they are fixed, m."""
         frames = [child.frame for child in self.children]
         return [MIRROR @ T @ MIRROR for T in frames] if self.mirrored else frames
 
@@ -222,7 +228,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def limb_joints(self) -> dict[str, list[int]]:
-        """Joint indices of each limb: declared `limbs`, then unbranched sequences of joints."""
+        """Joint indices of each declared or automatically detected limb, by name."""
         carriers = np.arange(self.n) if self.carriers is None else self.carriers
         followed = {name: coupling.to for name, coupling in self.couplings.items()}
         found = find_limbs(self.names, carriers.tolist(), followed)
@@ -230,19 +236,19 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def torque_bounds(self) -> Array:
-        """`torque_limits` (n,), Nm or N; infinite for joints without a limit."""
+        """Torque limits, shape (n,), Nm or N; infinite for joints without a limit."""
         return np.full(self.n, np.inf) if self.torque_limits is None else self.torque_limits
 
     @property
     def torque_units(self) -> list[TorqueUnit]:
-        """Display units of the torques or forces of n joints, see `torque_limits`."""
+        """Units in which the torques or forces of the n joints are displayed."""
         return torque_units(self.torque_bounds, [kind == "revolute" for kind in self.types])
 
     @property
     def arrow_radii(self) -> Array:
-        """Radii (n,) of the arrows, m: as declared, or clear of generated shapes.
+        """Arrow radii of the joints, shape (n,), m: declared, or clear of the generated shapes.
 
-        With `fit_arrows`, the compiled scene uses other radii.
+        If `fit_arrows` is true, the compiled scene uses radii that fit the geometry instead.
         """
         if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
@@ -250,12 +256,12 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def housing_radii(self) -> Array:
-        """Radii (n,) of the generated housings of the joints, m."""
+        """Radii of the generated joint housings, shape (n,), m."""
         return housing_radii(self.kinematics, self.T_n_flange, self.strokes, self.flange_link)
 
     @property
     def axes_length(self) -> float:
-        """Length of the axes, m: as declared, or in proportion to generated shapes."""
+        """Length of the coordinate axes in m: declared, or in proportion to the robot."""
         if self.fit_arrows and "axes_size" not in self.model_fields_set:
             return _AXES_OF_REACH * self.reach
         if self.has_geometry or "axes_size" in self.model_fields_set:
@@ -264,31 +270,31 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def plausible_limits(self) -> Array:
-        """Position limits (n, 2), rad or m; infinite for missing limits and placeholders."""
+        """Position limits, shape (n, 2), rad or m; infinite for missing limits and placeholders."""
         return plausible_limits(self.position_limits, self.n)
 
     @property
     def display_ranges(self) -> Array:
-        """Finite ranges (n, 2) of the joints, rad or m, for sliders, motions and learning.
+        """Finite joint ranges, shape (n, 2), rad or m, for sliders, example motions and learning.
 
-        A missing limit, or a limit of 1000 rad or m and more, is replaced by ±π rad for a revolute
-        joint and ±1 m for a prismatic joint. The limits of coupled joints also limit their driving
+        A limit that is missing or at least 1000 rad or m is replaced by ±π rad for a revolute joint
+        and by ±1 m for a prismatic joint. The limits of coupled joints also limit their driving
         joint.
         """
         return display_ranges(self.position_limits, self.types, self.home, self.coupled)
 
     @property
     def strokes(self) -> Array:
-        """Maximum extensions (n,) of prismatic joints, m; zero if not declared."""
+        """Upper limits of the prismatic joints, shape (n,), m; zero for joints without one."""
         upper = np.maximum(self.plausible_limits[:, 1], 0.0)
         return np.where(np.isfinite(upper) & ~self.kinematics.revolute, upper, 0.0)
 
     @property
     def reach(self) -> float:
-        """Distance of the flange from the base with all links in one line, m.
+        """Distance between base and flange in m, with all links aligned.
 
-        Prismatic joints are extended to their `position_limits` if they have limits. For a
-        branching robot, this is the distance of the farthest link.
+        Prismatic joints with position limits are fully extended. For a branching robot, this is the
+        distance of the farthest link.
         """
         limits = self.plausible_limits
         tree, ends = self.kinematics, np.where(np.isfinite(limits), limits, 0.0).T
@@ -298,11 +304,11 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def offsets(self) -> Array:
-        """`offsets_to_center_of_joints` (n, 3): as declared, or at the generated housings.
+        """Offsets of arrows and billboards from the joint frames, shape (n, 3), m.
 
-        Housings are at the origins of Craig's frames. A standard frame is at the other end of the
-        offset d, often far away from the joint. For a mirrored robot, the offsets are in frames
-        whose z axes are the rotation axes of the joints.
+        The default is the center of the generated housing. In the Craig convention, this is the
+        frame origin. In the standard convention, the origin is at the other end of the offset d.
+        For a mirrored robot, the z axes of the offsets are the rotation axes of the joints.
         """
         offsets = np.zeros((self.n, 3))
         if self.offsets_to_center_of_joints is not None:
@@ -316,7 +322,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def home(self) -> Array:
-        """Initial joint values (n,), rad or m: as declared, or zero."""
+        """Initial joint values, shape (n,), rad or m (default: zero for independent joints)."""
         if self.joint_angles is not None:
             return self.joint_angles
         if not self.couplings:
@@ -328,11 +334,11 @@ class SerialRobot(RobotDeclaration):
         return coupled_joints(self.names, self.couplings)
 
     def fwd_kin_base_to_flange(self, joint_angles: Any | None = None) -> Array:
-        """Returns the forward kinematics T_base_flange (..., 4, 4), translation in m.
+        """Returns the pose of the flange in the base frame, shape (..., 4, 4), in m.
 
         Args:
-            joint_angles: joint values (..., n), rad or m, or (..., k) of the independent joints
-                (default: the initial values).
+            joint_angles: values of all joints, shape (..., n), or of the independent joints, shape
+                (..., k), rad or m (default: the initial values).
         """
         q = self.home if joint_angles is None else np.asarray(joint_angles, np.float64)
         if self.couplings and q.shape[-1:] == (self.coupled.k,):
@@ -365,16 +371,17 @@ def build_robot(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> SerialRobot:
-    """Returns a robot with the given fields, which override those of the robot file `model`.
+    """Builds a robot from fields, which override those of a robot file.
 
     Args:
-        fields: fields of `SerialRobot`. In `dynamics` and `torque_control`, they override single
-            entries of the file.
+        fields: fields of `SerialRobot`. `dynamics` and `torque_control` override single entries of
+            the tables in the file.
         model: robot file, or None.
         packages: folders of ROS packages by name, for URDF.
+        arguments: values of xacro arguments by name.
 
     Raises:
-        DeclarationError: the robot is invalid. Problems in the file have its name and line.
+        DeclarationError: the robot is invalid. Problems in the file include its name and the line.
     """
     if model is None:
         return _with_radians(SerialRobot(**fields))
@@ -385,7 +392,7 @@ def build_robot(
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for key in (*IN_DEGREES.values(), "dh_params"):  # overridden in the other unit
+    for key in (*IN_DEGREES.values(), "dh_params"):  # fields may override those in another unit
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)

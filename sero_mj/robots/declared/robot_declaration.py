@@ -52,7 +52,7 @@ from .robot_parts import (
 )
 from .surroundings import Object, check_mjcf
 
-# Values of the fields of a DH table for robots with `joint_frames`.
+# Values that fields of the DH table have in robots with `joint_frames`.
 _OF_TABLE: dict[str, Any] = {
     "dh_params": np.zeros((0, 4)),
     "dh_params_deg": None,
@@ -63,120 +63,124 @@ _OF_TABLE: dict[str, Any] = {
 _OTHER_CONVENTIONS = {  # other names of the two conventions
     "modified": "craig", "proximal": "craig", "classic": "standard", "distal": "standard",
 }  # fmt: skip
-_COUPLING_TOLERANCE = 1e-4  # rad or m: angles in files are rounded
+_COUPLING_TOLERANCE = 1e-4  # rounding error of joint values in files, rad or m
 _UP = np.array([0.0, 0.0, 1.0])
 
 
 def _unit(direction: Array) -> Array:
     length = np.linalg.norm(direction)
     if length == 0.0:
-        raise mismatch(direction.tolist(), "a direction")
+        raise mismatch(direction.tolist(), "a nonzero vector")
     return np.asarray(direction / length)
 
 
 class RobotDeclaration(Declaration):
-    """A robot, declared like the `SerialRobot` proto of the paper, with the same defaults.
+    """The fields of a robot, with the names and defaults of the `SerialRobot` proto of the paper.
 
     Frames are 4x4 row-major arrays, lengths are in m, angles in rad, and torques in Nm (forces in N
-    for prismatic joints). n is the number of joints, from 1 to 128, and k the number of joints that
-    are not coupled to another one. The joints form a chain, or a tree if `parents` is set.
+    for prismatic joints). A robot has n joints (1 to 128), of which k are independent: they are not
+    coupled to another joint. The joints form a chain, or a tree if `parents` is set.
 
     Attributes:
         name: name of the robot in routes, for example `lwr` in `lwr.joint_angles`.
         description: description in one line, shown by `sero-mj list`.
         note: note about the data, such as `approximate`, shown below the legend.
-        dh_convention: `craig` (modified) or `standard`; `none` with `joint_frames`. There is no
-            default.
-        dh_params: DH table (n, 4), one row per joint.
+        dh_convention: convention of the DH table, `craig` (modified) or `standard`, or `none` if
+            the robot has `joint_frames`. It must be declared.
+        dh_params: DH table, shape (n, 4), one row per joint.
         dh_params_deg: DH table with alpha and theta in degrees, instead of `dh_params`.
         dh_columns: order of the four columns (default: alpha, a, theta, d).
         length_unit: unit of a and d in the DH table, `m` or `mm`. Other lengths are in m.
-        dh_base_frame: T_base_0, pose of frame 0 of the DH table in the base frame.
-        joint_frames: T_parent_i (n, 4, 4) of all joints at joint value zero, instead of a DH table.
-            The z axis of frame i is the axis of joint i.
-        parents: n names, for branching robots: the parent joint of each joint, or `base`. If a
+        dh_base_frame: pose of frame 0 of the DH table in the base frame (T_base_0).
+        joint_frames: poses T_parent_i of all joints at joint value zero, shape (n, 4, 4), instead
+            of a DH table. The z axis of frame i is the axis of joint i.
+        parents: names of the parent joint of each joint, or `base`, for branching robots. If a
             joint is named `base`, use its link instead, for example `link2` (default: the previous
             joint).
-        joint_types: n types, `revolute` or `prismatic` (default: all revolute). A row without a
-            joint at the start of a DH table becomes the `dh_base_frame`.
-        joint_names: n names, as in the original file of the robot and in messages, with any
+        joint_types: type of each joint, `revolute` or `prismatic` (default: all revolute). Declare
+            leading rows of a DH table that have no joint as `dh_base_frame`.
+        joint_names: names of the joints in the robot's original file and in messages, with any
             printable characters (default: J1, J2, ...).
         link_names: n + 1 names of the base and the links in the robot's original file. They can be
             used instead of the frame names `base`, `link1`, ...
-        link_frames: poses of all links of the original file by name, see `LinkFrame`. They relate
-            ROS transforms (`tf`) to the robot.
-        limbs: names of the joints of each limb, for branching robots. Routes and panels use them.
-            Joints in no declared limb form limbs automatically.
-        couplings: coupled joints by name: `{ to = "J3", ratio = 1, offset = 0 }`. Inputs and
-            initial values (`joint_angles`, `torques`, ...) may then have k values instead of n.
-        position_limits: lower and upper limits (n, 2), rad or m.
-        position_limits_deg: lower and upper limits (n, 2) in degrees.
-        velocity_limits: velocity limits (n,), rad/s or m/s.
-        velocity_limits_deg: velocity limits (n,) in degrees per second.
-        torque_limits: torque limits (n,), Nm or N; inf for joints without a limit. `"largest"`, as
-            the only value or for single joints, means inf and sets `scale_by_largest`.
-        scale_by_largest: for joints without a torque limit, whether arrows and billboards are
-            scaled by the largest torque so far. It limits no torque.
-        dynamics: masses, inertias and friction; missing values are estimated.
-        torque_control: parameters of the joint torque control of simulated runs.
+        link_frames: poses of all links of the original file by name, which relate ROS transforms
+            (`tf`) to the robot.
+        limbs: names of the joints of each limb, for routes and panels of branching robots. The
+            remaining joints form limbs automatically.
+        couplings: couplings by joint name, for example `{ to = "J3", ratio = 1, offset = 0 }`.
+            Inputs and initial values (`joint_angles`, `torques`, ...) may then have k values
+            instead of n.
+        position_limits: lower and upper position limits, shape (n, 2), rad or m.
+        position_limits_deg: lower and upper position limits in degrees, shape (n, 2).
+        velocity_limits: velocity limits, shape (n,), rad/s or m/s.
+        velocity_limits_deg: velocity limits in degrees per second, shape (n,).
+        torque_limits: torque limits, shape (n,), Nm or N; inf for joints without a limit. The text
+            `"largest"`, for all or single joints, means inf and sets `scale_by_largest`.
+        scale_by_largest: whether arrows and billboards of joints without a torque limit are scaled
+            by the largest torque so far. The torques are not limited.
+        dynamics: masses, inertias and friction. Missing values are estimated.
+        torque_control: parameters of the joint torque control in simulation.
         elastic_joints: whether simulated joints have the elasticity `dynamics.joint_stiffness`.
-        acceleration_limits: accelerations (n,) at which arrows have full width, rad/s2 or m/s2.
+        acceleration_limits: accelerations at which arrows have full width, shape (n,), rad/s2 or
+            m/s2.
         directory: folder of the mesh files.
-        filenames: geometry of the base and the n links: file names, tables (see `LinkGeometry`), or
-            lists of these (default: shapes generated from the joint frames).
+        filenames: visual geometry of the base and the n links, each given by a file name, a table,
+            or a list of these (default: shapes generated from the joint frames).
         collisions: collision geometry of the base and the n links, in the format of `filenames`.
             Meshes are replaced by their convex hulls (default: one hull of the visual geometry per
             link).
-        colors: red, green, blue and alpha from 0 to 1 by name, for `filenames`.
-        mjcf: MJCF with the geometry of the links, instead of `filenames` and `collisions`: a file
-            relative to `directory`, text, or an object, see `Object`. It has the same joints.
-        mesh_scale: length of the unit of the mesh files in m.
+        colors: named colors for `filenames`, as red, green, blue and opacity, from 0 to 1.
+        mjcf: MJCF model with the same joints, which provides the link geometry instead of
+            `filenames` and `collisions`: a file relative to `directory`, text, or an object.
+        mesh_scale: unit of the mesh files in m.
         mount: frame of another robot on which the base is mounted, for example `arm/flange`, or a
-            joint whose link carries it, `icub/l_elbow` (default: placed in the world).
-        base_frame: T_world_base, or T_mount_base of a mounted robot.
-        free_base: whether the base moves freely in simulation, starting at `base_frame`: true for a
-            free joint, `planar` for motion in a plane, like a mobile platform. When mirroring, the
-            base follows an input, like any other base.
+            joint whose link carries the base, `icub/l_elbow` (default: placed in the world).
+        base_frame: pose of the base in the world, or in the frame `mount` of a mounted robot.
+        free_base: whether the base moves freely in simulation, starting at `base_frame`: `true` for
+            motion in space, `planar` for motion in a plane, like a mobile platform. Without
+            simulation, an input moves the base, as for any robot.
         base_normal: normal of the plane of a `planar` base, in the base frame.
         base_joint: name of the joint of a free or planar base in the original file of the robot.
         mirrored: whether the robot is mirrored at the xz plane of its base, for example to get a
             left arm from a right one. Equal joint values result in mirrored poses, and equal
             torques hold them. With S = diag(1, -1, 1, 1), each frame T becomes S T S, so joints
             rotate in the negative direction about the z axes of their frames.
-        flange_frame: T_n_flange, pose of the flange in the frame of its link.
+        flange_frame: pose of the flange in the frame of its link (T_n_flange).
         flange_on: name of the joint whose link carries the flange (default: the last joint).
-        joint_angles: initial joint angles (n,), used until data arrives.
-        joint_angles_deg: initial joint angles (n,) in degrees.
-        children: objects fixed to the flange or to another frame of the robot.
+        joint_angles: initial joint angles, shape (n,), used until data arrives.
+        joint_angles_deg: initial joint angles in degrees, shape (n,).
+        children: objects that are fixed to the flange or to another frame of the robot.
         enable_touch_sensor: whether a click on the robot toggles its features.
         stale_after: time without a packet after which the robot is shown gray, in seconds.
-        offsets_to_center_of_joints: offsets (n, 3) of arrows and billboards in the joint frames, m
-            (default: the centers of generated housings).
+        offsets_to_center_of_joints: offsets of arrows and billboards in the joint frames, shape
+            (n, 3), m (default: centers of the generated housings).
         show_axes: whether coordinate axes are shown at the base, each joint and the flange.
         axes_size: length of the axes in m (default: in proportion to generated shapes).
         axes_transparency: transparency of the axes, from 0 (opaque) to 1 (invisible).
         show_arrows: whether round arrows are shown.
-        arrow_quantity: quantity of the arrows: `torques`, `torque_error` (commanded - measured),
-            `joint_accelerations`, `singularity` (see `viewer.decor.quantities`),
-            `torque_without_gravity` (measured - gravity torque of the model), or
-            `torque_without_friction` (measured - friction declared in `dynamics`).
+        arrow_quantity: quantity that the arrows show: `torques`, `torque_error` (commanded minus
+            measured torques), `joint_accelerations`, `singularity`, `torque_without_gravity`
+            (measured torques minus gravity torques of the model), or `torque_without_friction`
+            (measured torques minus the friction declared in `dynamics`).
         arrow_dead_band: fraction of the limit below which no arrow is shown, to hide noise.
         arrow_radius: radius of the round arrows in m (default: clear of generated shapes).
         fit_arrows: whether the radius of each arrow is fitted to the geometry of the adjacent
             links, instead of `arrow_radius`. Axes without `axes_size` then scale with the reach.
-        arrow_width_scale: arrow width per torque, m per Nm, for joints without a torque limit.
-            Otherwise, the width at the limit is `arrow_radius` times this value divided by its
-            default of 0.01.
-        torques: initial measured torques, (n,) or (k,), Nm or N; None for no data.
-        commanded_torques: initial commanded torques, (n,) or (k,), Nm or N; None for no data.
-        joint_accelerations: initial accelerations, (n,) or (k,), rad/s2 or m/s2; None for no data.
+        arrow_width_scale: arrow width per torque for joints without a torque limit, m per Nm. If a
+            joint has a limit, its arrow has a width of `arrow_radius` at the limit, scaled by the
+            ratio of this value to its default of 0.01.
+        torques: initial measured torques, n or k values, Nm or N; None for no data.
+        commanded_torques: initial commanded torques, n or k values, Nm or N; None for no data.
+        joint_accelerations: initial accelerations, n or k values, rad/s2 or m/s2; None for no data.
         show_billboards: whether billboards are shown.
-        billboard_scale: text height in units of 0.7 times the image height.
-        billboard_values: initial values, (n,) or (k,); None for no data.
-        billboard_lines: lines of the billboards (default: one per routed input).
+        billboard_scale: text height as a fraction of 0.7 times the image height.
+        billboard_values: initial billboard values, n or k values; None for no data.
+        billboard_lines: quantities that the lines of the billboards show (default: one line per
+            input with a route).
         inputs: names of additional per-joint inputs for billboards, such as `temperatures`.
-        flange_tolerance: maximum distance of a received `flange_check` from the flange, m.
-        flange_tolerance_deg: maximum angle between them, degrees.
+        flange_tolerance: maximum distance between the received frame `flange_check` and the flange,
+            m.
+        flange_tolerance_deg: maximum angle between the received frame and the flange, degrees.
     """
 
     checked_alone: ClassVar[frozenset[str]] = frozenset(
@@ -256,14 +260,14 @@ class RobotDeclaration(Declaration):
     flange_tolerance_deg: float = Field(0.5, gt=0)
 
     _model: Path | None = PrivateAttr(None)  # robot file, for problems detected later
-    # Files and keys of its tables in models of groups, outer ones first.
+    # Files and keys of the tables that declare the robot in group models, outer ones first.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @field_validator("dh_convention", mode="before")
     @classmethod
     def _name_of_convention(cls, name: object) -> object:
         if isinstance(name, str) and (ours := _OTHER_CONVENTIONS.get(name.lower())):
-            raise mismatch(name, f"{ours!r}, its name here")
+            raise mismatch(name, f"{ours!r}, the name of this convention in sero-mj")
         return name
 
     @field_validator("dh_params")
@@ -309,14 +313,14 @@ class RobotDeclaration(Declaration):
         if len(parents) != _count(info.data):
             expected = f"{_count(info.data)}, {_each(info.data)}"
             raise mismatch(len(parents), expected, of="entries")
-        branch = [0]  # the links of the path to the previous joint
+        branch = [0]  # links between the base and the previous joint
         for i, parent in enumerate(parents):
             link = link_of_parent(parent, names)
             if link is None:
                 problems.append(Problem(str(i), "no joint", found=parent, available=[BASE, *names]))
             elif link not in branch:
-                message = f"{names[i]} is on {parent}; expected it behind that and its branch whole"
-                problems.append(Problem(str(i), message))
+                reason = f"{names[i]} does not continue the branch of its parent {parent}"
+                problems.append(Problem(str(i), reason, expected="joints in depth-first order"))
             branch = [*branch[: branch.index(link) + 1 if link in branch else 1], i + 1]
         raise_any(problems)
         return parents
@@ -326,7 +330,7 @@ class RobotDeclaration(Declaration):
     def _names_of_links(cls, names: list[str] | None, info: ValidationInfo) -> list[str] | None:
         n = _count(info.data)
         if names is not None and n is not None and len(names) != n + 1:
-            raise mismatch(len(names), f"{n + 1}, of base and links", of="entries")
+            raise mismatch(len(names), f"{n + 1}, one for the base and one per link", of="entries")
         return names
 
     @field_validator("flange_on", "couplings", "limbs")
@@ -360,7 +364,8 @@ class RobotDeclaration(Declaration):
         if limits is not None and info.data.get(key) is not None:
             raise ValueError(f"found both {key} and {info.field_name}; expected one of them")
         if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
-            raise ValueError(f"{info.field_name} is for revolute joints only; use {key} in rad, m")
+            found = f"{info.field_name} is for revolute joints only"
+            raise ValueError(f"{found}. Use {key} in rad and m")
         return limits
 
     @model_validator(mode="before")
@@ -391,9 +396,10 @@ class RobotDeclaration(Declaration):
         given = sorted(_OF_TABLE.keys() & self.model_fields_set)
         if self.joint_frames is not None and (given or self.dh_convention != "none"):
             found = given[0] if given else f"dh_convention = '{self.dh_convention}'"
-            raise ValueError(f"found {found} with joint_frames; expected one of the two")
+            raise ValueError(f"found {found} with joint_frames; expected only one of them")
         if self.joint_frames is None and self.dh_convention == "none":
-            raise Problem("dh_convention", "found 'none'", expected="joint_frames with it").error()
+            found = "found 'none' without joint_frames"
+            raise Problem("dh_convention", found, expected="'craig' or 'standard'").error()
         return self
 
     @model_validator(mode="after")
@@ -425,7 +431,7 @@ class RobotDeclaration(Declaration):
         if self.free_base and self.mount is not None:
             free = "true" if self.free_base is True else f'"{self.free_base}"'
             raise mismatch(
-                self.mount, "one of the two", f"found {free} with mount =", key="free_base"
+                self.mount, "only one of them", f"found {free} with mount =", key="free_base"
             )
         return self
 
@@ -467,8 +473,8 @@ class RobotDeclaration(Declaration):
         if self.mirrored and pieces:
             raise Problem(
                 "mirrored",
-                (f"the child '{pieces[0]}' is a piece of MJCF or URDF, and cannot be mirrored"),
-                expected="shapes and meshes",
+                f"the child '{pieces[0]}' is from MJCF or URDF, and cannot be mirrored",
+                expected="only shapes and meshes as children",
             ).error()
         return self
 
@@ -476,7 +482,7 @@ class RobotDeclaration(Declaration):
     @classmethod
     def _is_mjcf_alone(cls, mjcf: Any, info: ValidationInfo) -> Any:
         if mjcf is not None and (info.data.get("filenames") or info.data.get("collisions")):
-            raise ValueError("found it with filenames or collisions; expected one of the two")
+            raise ValueError("found mjcf with filenames or collisions; expected only one of them")
         return check_mjcf(mjcf)
 
     @field_validator("filenames", "collisions")
@@ -487,7 +493,8 @@ class RobotDeclaration(Declaration):
             # [""], the default of the proto, means no geometry.
             return links if info.field_name == "collisions" else []
         if n is not None and len(links) != n + 1:
-            raise mismatch(len(links), f"{n + 1}: the base and one per joint", of="entries")
+            expected = f"{n + 1}, one for the base and one per joint"
+            raise mismatch(len(links), expected, of="entries")
         check_colors(links, info.data.get("colors", {}))
         return links
 
@@ -515,10 +522,10 @@ def _known_names(fields: Mapping[str, Any]) -> list[str] | None:
 
 
 def _with_coupled(values: Array, info: ValidationInfo) -> Array:
-    """Returns the angles of all joints from n or k angles.
+    """Returns the angles of all n joints, given n or k angles.
 
-    Other quantities are returned unchanged. Raises ValueError if a value contradicts its coupling,
-    or if the number of values is neither n nor k.
+    Values of other quantities are returned unchanged. Raises ValueError if an angle contradicts its
+    coupling, or if the number of values is neither n nor k.
     """
     names = _joint_names(info.data)
     coupled = coupled_joints(names, info.data["couplings"])

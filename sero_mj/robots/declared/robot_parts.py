@@ -1,4 +1,4 @@
-"""Types of the fields of robots: tables, limits, link geometry, billboard lines."""
+"""Types of robot fields, such as limits, link geometry and billboard lines."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from ..importers.joint_names import identifiers, is_joint_name
 from ..kinematics.dh import COLUMNS, Column
 from .surroundings import FinishName, MeshFile, Object, check_shape_size
 
-# Packets select them by number, so new ones must be added at the end.
+# Packets select these quantities by index, so new ones must be added at the end.
 ArrowQuantity = Literal[
     "torques", "torque_error", "joint_accelerations", "singularity", "torque_without_gravity",
     "torque_without_friction",
@@ -32,7 +32,7 @@ BILLBOARD_VALUES = (
     "billboard_values",
 )
 MAX_JOINTS = 128
-LARGEST = "largest"  # torque limit of joints that are scaled by their largest torque so far
+LARGEST = "largest"  # torque limit of joints whose arrows scale with their largest torque so far
 _MAX_CHILDREN = 2000  # the maximum number of objects of a scene
 # Fields in degrees, and the corresponding fields in radians.
 IN_DEGREES = {
@@ -61,7 +61,7 @@ PER_JOINT = (
 
 
 class Posed(Declaration):
-    """A declaration with joint angles in rad or degrees, see `Double` and `Group`."""
+    """Base class of declarations with initial joint angles in rad or degrees."""
 
     joint_angles: Vector | None = None
     joint_angles_deg: Vector | None = None
@@ -70,18 +70,14 @@ class Posed(Declaration):
     def _angles_from_degrees(self) -> Self:
         if self.joint_angles_deg is not None:
             if self.joint_angles is not None:
-                raise ValueError("found both joint_angles and joint_angles_deg; expected one")
+                raise ValueError("found both joint_angles and joint_angles_deg; expected only one")
             # Set without another validation.
             self.__dict__["joint_angles"] = np.deg2rad(self.joint_angles_deg)
             self.__dict__["joint_angles_deg"] = None
         return self
 
     def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
-        """Returns a problem if a pose in degrees contains prismatic joints.
-
-        Args:
-            types: joint types by robot.
-        """
+        """Returns a problem if angles are in degrees and `types`, by robot, contain `prismatic`."""
         sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
@@ -138,7 +134,8 @@ def _limits_of_shape(*shape: int | None) -> BeforeValidator:
 def _are_ordered(limits: Array | None) -> Array | None:
     if limits is not None and (limits[:, 0] >= limits[:, 1]).any():
         row = int(np.flatnonzero(limits[:, 0] >= limits[:, 1])[0])
-        raise mismatch(limits[row].tolist(), "lower < upper", f"row {row + 1} is")
+        expected = "a lower limit below the upper limit"
+        raise mismatch(limits[row].tolist(), expected, f"row {row + 1} is")
     return limits
 
 
@@ -157,10 +154,7 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Replaces the word "largest" in torque limits by None or inf.
-
-    Returns the limits, and whether they contained the word.
-    """
+    """Replaces "largest" in torque limits by None or inf, and returns whether it occurred."""
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
     if isinstance(limits, list | tuple):
@@ -178,7 +172,7 @@ def _children_differ(children: list[Object]) -> list[Object]:
             raise ValueError(f"two children have the name '{name}'")
     for child in children:
         if child.shape == "limb":
-            raise ValueError(f"{child.name}: found a limb; expected it among a scene's objects")
+            raise ValueError(f"{child.name}: found a limb; expected limbs only in scene objects")
     return children
 
 
@@ -216,23 +210,23 @@ def _scales(value: Any) -> Any:
         return None
     scale = numbers(value)
     if scale.shape not in ((), (3,)) or (scale == 0).any():
-        raise mismatch(value, "a number, or three along x, y and z, not 0")
+        raise mismatch(value, "a nonzero number, or three nonzero numbers for x, y and z")
     return np.broadcast_to(scale, 3).copy()
 
 
 class LinkGeometry(Declaration):
-    """A mesh file or a primitive shape of a link.
+    """The mesh file or primitive shape of a link.
 
     Attributes:
         file: mesh file, relative to the `directory` of the robot.
-        shape: primitive shape instead of a file, or `generated` for the generated shapes.
-        size: full lengths and radii of the shape in m, see `SHAPE_SIZES`.
+        shape: primitive shape instead of a file, or `generated` for shapes from the joint frames.
+        size: full lengths and radii of the shape in m, in the order of an object's `size`.
         color: name of one of the `colors` of the robot.
-        opacity: factor of the opacity of the colors, from 0 (invisible) to 1.
-        finish: surface: `plastic`, `metal` or `rubber`.
-        frame: T_link_geometry, pose in the frame of the link.
-        scale: length of the unit of the mesh file in m, one number or three for x, y and z
-            (default: the `mesh_scale` of the robot).
+        opacity: factor for the opacity of the color, from 0 (invisible) to 1.
+        finish: surface finish, `plastic`, `metal` or `rubber`.
+        frame: pose of the geometry in the frame of the link (T_link_geometry).
+        scale: unit of the mesh file in m, as one number or three for x, y and z (default: the
+            `mesh_scale` of the robot).
     """
 
     file: MeshFile | None = None
@@ -249,21 +243,21 @@ class LinkGeometry(Declaration):
     @model_validator(mode="after")
     def _one_kind(self) -> LinkGeometry:
         if (self.file is None) == (self.shape is None):
-            found = "neither" if self.file is None else "both"
-            raise ValueError(f"found {found} of file and shape; expected one of them")
+            found = "neither file nor shape" if self.file is None else "both file and shape"
+            raise ValueError(f"found {found}; expected one of them")
         if self.shape is not None and self.shape != "generated":
             check_shape_size(self.shape, self.size)
         elif self.size is not None:
-            raise ValueError("size is for shapes; expected scale for a mesh")
+            raise ValueError("size is only for primitive shapes. Use scale for a mesh")
         return self
 
 
 class LinkFrame(Declaration):
-    """The pose of a link of the original file of a robot.
+    """The pose of a link that the original file of a robot defines.
 
     Attributes:
-        on: reference frame: `base`, `link1`, ...
-        frame: pose in the reference frame.
+        on: name of the reference frame, `base`, `link1`, ...
+        frame: pose of the link in the reference frame.
     """
 
     on: str = "base"
@@ -274,12 +268,12 @@ class BillboardLine(Declaration):
     """One line of a joint's billboard.
 
     Attributes:
-        value: per-joint input, including the `inputs` of the robot. `torque_error` is commanded -
-            measured torque.
+        value: per-joint input to be shown, which may be one of the robot's `inputs`. `torque_error`
+            is the commanded minus the measured torque.
         label: text before the number if a billboard has several lines.
         unit: text after the number (default: the SI unit of the value).
         decimals: number of decimals (default: depends on the value).
-        scale: factor of the displayed value, for example 57.2958 for degrees.
+        scale: factor for the displayed value, for example 57.2958 for degrees.
     """
 
     value: str
@@ -290,12 +284,12 @@ class BillboardLine(Declaration):
 
 
 def frame_labels(n: int) -> list[str]:
-    """Returns the names of the frames of a robot with n joints."""
+    """Returns the frame names of a robot with n joints: `base`, `link1`, ..., `flange`."""
     return ["base", *(f"link{i + 1}" for i in range(n)), "flange"]
 
 
 def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) -> str:
-    """Translates the name of a joint or an original link to the name of the frame.
+    """Converts the name of a joint or an original link to the frame name, for example `link3`.
 
     A joint refers to the link that it moves. Other names are returned unchanged.
     """
@@ -311,7 +305,7 @@ def frame_label(label: str, joints: Sequence[str], links: Sequence[str] | None) 
 
 
 def as_link_geometry(value: Any) -> Any:
-    """Converts file names, tables, and lists of them to a list of tables."""
+    """Converts the declared geometry of a link (file name, table, or list) to a list of tables."""
     if isinstance(value, str):
         return [{"file": value}] if value else []
     if isinstance(value, Mapping | LinkGeometry):
@@ -330,7 +324,7 @@ LinkGeometries = Annotated[
 
 
 def as_billboard_lines(value: Any) -> Any:
-    """Converts names of values in a list to tables."""
+    """Replaces names in a list of billboard lines by tables."""
     if isinstance(value, list):
         return [{"value": line} if isinstance(line, str) else line for line in value]
     return value
@@ -343,7 +337,7 @@ BillboardLines = Annotated[
 
 
 def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> None:
-    """Raises ValueError if a color of link geometry is not declared."""
+    """Raises DeclarationError if a color of the link geometry is not declared in `colors`."""
     for part in (part for link in links for part in link):
         if part.color is not None and part.color not in colors:
             found = f"{part.file or part.shape}: no color"
@@ -353,21 +347,21 @@ def check_colors(links: list[list[LinkGeometry]], colors: Mapping[str, Any]) -> 
 def check_line_values(lines: list[BillboardLine] | None, own: list[str]) -> None:
     """Raises DeclarationError if a billboard line shows an unknown value.
 
-    `own` contains the additional inputs of the robot.
+    `own` contains the names of the robot's additional inputs.
     """
     for k, line in enumerate(lines or []):
         known = [*BILLBOARD_VALUES, *own]
         if line.value not in known:
             near = nearest(line.value, known)
             choices = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
-            hint = f"did you mean '{near}'?" if near else "add it to inputs for one of your own"
+            hint = f"did you mean '{near}'?" if near else "to use your own value, add it to inputs"
             raise mismatch(line.value, f"{choices}; {hint}", key=f"{k}.value")
 
 
 def dh_rows(rows: Array, in_degrees: Array | None, columns: list[str]) -> Array:
-    """Returns the rows (n, 4) of a DH table in rad, converted from `in_degrees` if not None.
+    """Returns the rows of a DH table in rad, shape (n, 4), from `rows` or else `in_degrees`.
 
-    Raises ValueError if angles are implausible in rad, or if the number of rows is wrong.
+    Raises DeclarationError if angles are implausible in rad, or if the number of rows is invalid.
     """
     angles = [columns.index("alpha"), columns.index("theta")]
     if in_degrees is not None:

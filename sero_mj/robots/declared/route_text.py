@@ -1,4 +1,4 @@
-"""The text of routes: conversion to text, tokens, and names."""
+"""Converts the origins of routes to text, and splits the text into tokens and names."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 from ...base.errors import did_you_mean, mismatch, problems_of, raise_any
 
 NOT = "not"
-JOINING = ("and", "or", NOT)  # words between comparisons
+JOINING = ("and", "or", NOT)  # logical operators
 FUNCTIONS = ("abs", "min", "max", "norm", "any", "all")
-_MAX_ORIGIN = 100_000  # characters of the text of a route
-_FOR, _BETWEEN = " for ", ";"  # in origins for some joints only
+_MAX_ORIGIN = 100_000  # maximum length of the text of an origin, characters
+_FOR, _BETWEEN = " for ", ";"  # separators in origins for some joints only
 _OF_JOINTS = ("from", "joints")
-# Names contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so the operators - and / need spaces.
+# Names may contain `-`, `.` and `/` (my-udp.values0, lwr/flange), so operators - and / need spaces.
 _TOKENS = re.compile(
     r"(?P<number>(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"
     r"|(?P<name>[A-Za-z_][A-Za-z0-9_./-]*)"
@@ -26,9 +26,10 @@ _TOKENS = re.compile(
 
 
 def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
-    """Returns the routes with all origins as text.
+    """Converts the origins of routes to text.
 
-    Raises DeclarationError if an origin is neither a text, nor numbers, nor a table of joints.
+    Raises DeclarationError if an origin is not a text, a number, a list of numbers, or a table with
+    the keys `from` and `joints`.
     """
     texts, problems = {}, []
     for target, origin in routes.items():
@@ -41,10 +42,12 @@ def route_texts(routes: Mapping[str, Any]) -> dict[str, str]:
 
 
 class Token(NamedTuple):
-    """A token of an origin's text.
+    """A token in the text of a route's origin.
 
     Attributes:
-        kind: `number`, `name`, `sign`, or `other` for invalid characters.
+        kind: `number`, `name`, `sign`, or `other` for an invalid character.
+        text: characters of the token.
+        at: index of the first character.
     """
 
     kind: str
@@ -53,13 +56,13 @@ class Token(NamedTuple):
 
 
 def tokens_of(origin: str) -> Iterator[Token]:
-    """Yields the tokens of an origin's text."""
+    """Yields the tokens in the text of a route's origin."""
     for match in _TOKENS.finditer(origin):
         yield Token(match.lastgroup or "other", match.group(), match.start())
 
 
 def names_in(origin: str) -> list[str]:
-    """Returns the names of events, outputs, frames and units in an origin."""
+    """Returns the names of events, outputs, frames and units in the origin of a route."""
     words = [*tokens_of(origin), Token("end", "", len(origin))]
     names = (
         word.text
@@ -70,10 +73,11 @@ def names_in(origin: str) -> list[str]:
 
 
 def origin_text(origin: Any) -> str:
-    """Returns an origin as text. Numbers and lists of numbers are constants.
+    """Converts the origin of a route to text, for `parts_of_origin` to split.
 
-    An origin for some joints is written as `udp.values0 for l_elbow, l_wrist`. Several origins are
-    separated by semicolons, see `parts_of_origin`. Raises ValueError if the origin is invalid.
+    Numbers and lists of numbers are constants. A table for some joints is converted to text such as
+    `udp.values0 for l_elbow, l_wrist`. Several of these are separated by semicolons. Raises
+    ValueError if the origin is invalid.
     """
     if isinstance(origin, Mapping):
         text = _text_for_joints(origin)
@@ -94,7 +98,7 @@ def _plain_text(origin: Any) -> str:
     if text is None:
         hint = ""
         if isinstance(plain, list) and any(isinstance(entry, str) for entry in plain):
-            hint = '; put quotes about the whole list: "[udp.values0[0], 1]"'
+            hint = '; put quotes around the whole list: "[udp.values0[0], 1]"'
         raise mismatch(origin, f'an event such as "udp.values0", or numbers{hint}')
     return text
 
@@ -105,7 +109,7 @@ def _text_for_joints(table: Any) -> str:
         if not isinstance(table, Mapping):
             raise mismatch(table, example, of="among tables")
         raise mismatch(
-            table, 'an event such as "udp.values0", or numbers; put quotes about the whole name'
+            table, 'an event such as "udp.values0", or numbers; put quotes around the whole name'
         )
     if table.keys() != {*_OF_JOINTS}:
         unknown = [f"unknown '{key}'{did_you_mean(key, _OF_JOINTS)}" for key in table
@@ -120,7 +124,7 @@ def _text_for_joints(table: Any) -> str:
 
 
 def parts_of_origin(text: str) -> list[tuple[str, list[str] | None]]:
-    """Returns the origins in a text with their joints, or with None for all joints."""
+    """Splits the text of an origin into pairs of origins and joint names, None for all joints."""
     if _FOR not in text:
         return [(text, None)]
     pairs = [part.partition(_FOR) for part in text.split(_BETWEEN)]

@@ -33,7 +33,7 @@ from .robot_parts import VALUE_INPUTS, check_line_values
 from .route_text import names_in, route_texts
 from .surroundings import Camera, Light, Object, View
 
-# Maximum number of entries, so that a scene compiles within seconds.
+# Maximum number of entries per section, so that a scene compiles within seconds.
 MOST_ENTRIES = {
     "robots": 200,
     "groups": 100,
@@ -46,14 +46,14 @@ MOST_ENTRIES = {
     "sources": 1000,
     "routes": 10000,
 }
-# Sections whose entries have frames or are moved.
+# Sections whose entries have frames that others can refer to, or that routes can move.
 _WITH_FRAMES = ("robots", "doubles", "frames", "objects", "arrows", "cameras")
 
 _Entry = TypeVar("_Entry", SmartArrow, ReceivedFrame)
 
 
 class SceneToggles(Declaration):
-    """Initial switches of the whole scene. Robots have additional ones (`show_arrows`, ...).
+    """Initial states of the toggles of a whole scene. Robots have toggles such as `show_arrows`.
 
     Attributes:
         legend: whether the legend of the arrows is shown.
@@ -69,32 +69,34 @@ class SceneToggles(Declaration):
 
 
 class Scene:
-    """The declaration of a scene.
+    """The declaration of a scene, which consists of robots, sources, routes and surroundings.
 
     Args:
-        groups: ordered groups of robots, which share routes and switches.
-        sources: sources by name: tables with `kind` and its fields, or source objects.
-        routes: origin of each input (`lwr.joint_angles`): an event (`udp.values0`), an expression
-            (`udp.values0[0:7] * deg`), or numbers. For single joints, use
-            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, a list of such tables, or a
-            limb in the key, `icub.left_arm.joint_angles`.
+        robots: robots with unique names.
+        groups: ordered groups of robots, which share routes and toggles.
+        sources: sources by name, as source objects or as tables with `kind` and its fields.
+        routes: origins by input (`lwr.joint_angles`). An origin is an event (`udp.values0`), an
+            expression (`udp.values0[0:7] * deg`), or numbers. For single joints, the origin is
+            `{"from": "udp.values0", "joints": ["l_elbow", "l_wrist"]}`, or a list of such tables.
+            Alternatively, the input names a limb (`icub.left_arm.joint_angles`).
         doubles: transparent doubles of robots. A double of a group becomes one double per robot,
             named `DOUBLE_ROBOT`.
-        lights: lights by name, in addition to a headlight (default: one that casts shadows).
-        floor: whether there is a floor at z = 0, or `below`: a floor at the lowest point of the
-            robots in their initial pose, if that is below 0. The default is `below` if the scene
-            has a robot from URDF or MJCF, whose base may be its trunk, or a single robot without a
-            `base_frame` and no objects, and true otherwise.
-        decor: settings of visual features by name.
-        broken: invalid sections (`robots`) and entries (`robots.lwr`) of the file.
+        lights: lights by name, in addition to the headlight (default: one that casts shadows).
+        floor: whether there is a floor at z = 0, or `below` for a floor at the lowest point of the
+            robots in their initial poses, if that is below 0. The default is `below` if a robot is
+            from URDF or MJCF, or if the scene has one robot without `base_frame` and no objects.
+            Otherwise, the default is true.
+        decor: settings of visual features, by name of the feature.
+        broken: keys of the invalid sections (`robots`) and entries (`robots.lwr`) of the file.
         lines: line numbers by dotted key, if the file is not TOML.
 
     Attributes:
-        withheld: actions that the scenario requests without permission, see `base.trust`. The scene
-            is then shown without simulation. None if there are no such actions.
+        withheld: actions that the scenario requests but the user has not permitted, or None. If
+            there are such actions, the scene is shown without simulation.
 
     Raises:
-        DeclarationError: two robots have the same name, or a route is invalid.
+        DeclarationError: an argument is invalid, or entries are inconsistent. If `file` is set,
+            `problems` reports inconsistent entries instead.
     """
 
     def __init__(
@@ -174,9 +176,7 @@ class Scene:
         for robot in robots or []:
             self.add(robot)
         self.doubles: dict[str, Double] = {}
-        self.double_groups: dict[
-            str, list[str]
-        ] = {}  # names of the doubles for the robots of a group
+        self.double_groups: dict[str, list[str]] = {}  # names of doubles by double of a group
         for double in doubles or [] if "doubles" not in self.broken else []:
             self._add_double(double)
         self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
@@ -258,9 +258,7 @@ class Scene:
             shares[key] = [None] * len(known) if fitting is None else fitting
             if fitting is not None:
                 continue
-            if len(known) == len(
-                robots
-            ):  # otherwise robots are invalid, which is reported elsewhere
+            if len(known) == len(robots):  # Invalid robots are reported elsewhere.
                 message = _not_their_sum(value.shape[-1], known)
                 self._group_problems.append(Problem(f"doubles.{double.name}.{key}", message))
         names = [f"{double.name}_{robot.name}" for robot in known]
@@ -270,16 +268,16 @@ class Scene:
         self.double_groups[double.name] = names
 
     def members(self, name: str) -> list[str] | None:
-        """Returns the robots of a group, or the doubles of its double, including invalid members.
+        """Returns the robot names of a group, or the names of the doubles of a group's double.
 
-        Returns None for other names.
+        Invalid members are included. Returns None if `name` is neither a group nor such a double.
         """
         return self.membership.members.get(name, self.double_groups.get(name))
 
     def routed(self, target: str) -> str | None:
-        """Returns the origin of the route to an input or to the input of its group, or None.
+        """Returns the origin of the route that sets an input directly or through a group, or None.
 
-        If there are routes to limbs, this is a list of their origins.
+        If routes set the input limb by limb, returns a list of their origins as text.
         """
         name, _, key = target.partition(".")
         doubled = [group for group, names in self.double_groups.items() if name in names]
@@ -299,9 +297,9 @@ class Scene:
         return any(target.count(".") > 1 for target in self.routes)
 
     def sources_of(self, *targets: str) -> set[str]:
-        """Returns the names of the sources on which targets depend (default: all targets).
+        """Returns the names of the sources on which inputs depend (default: all routed inputs).
 
-        This includes the sources of robots whose outputs (`leader.torques`) a route uses.
+        This includes the sources of other robots if a route uses their outputs (`leader.torques`).
         """
         found: set[str] = set()
         todo = list(targets or self.routes)
@@ -326,7 +324,7 @@ class Scene:
         return [file for file in dict.fromkeys(found) if file.is_file()]
 
     def meshes(self) -> list[tuple[str, Path]]:
-        """Returns the keys and files of the meshes of robots and objects."""
+        """Returns the mesh files of robots and objects, each with the key that declares it."""
         found: list[tuple[str, str, str | None]] = []
         for name, robot in self.robots.items():
             for key, links in (("filenames", robot.filenames), ("collisions", robot.collisions)):
@@ -340,11 +338,11 @@ class Scene:
         return [(key, Path(folder) / file) for key, folder, file in found if file is not None]
 
     def named_frames(self) -> dict[str, NamedFrame]:
-        """Returns the frames that arrows, received frames and routes can use, by name."""
+        """Returns the frames to which arrows, received frames and routes can refer, by name."""
         return list_frames(self.robots, self.doubles, self.frames, self.objects)
 
     def frame_name(self, name: str) -> str:
-        """Translates the name of a joint or original link, `icub/l_elbow`, to `icub/link9`."""
+        """Converts the name of a joint or original link (`icub/l_elbow`) to `icub/link9`."""
         owner, _, label = name.partition("/")
         double = self.doubles.get(owner)
         robot = self.robots.get(owner if double is None else double.of)
@@ -359,9 +357,9 @@ class Scene:
         return entry.model_copy(update=update)
 
     def problems(self) -> list[Problem]:
-        """Returns invalid references between entries, ambiguous names, and excessive counts."""
+        """Returns problems with references between entries, ambiguous names and entry counts."""
         too_many = self._excess or excess({key: getattr(self, key) for key in MOST_ENTRIES})
-        if too_many:  # checking them would take as long as compiling them
+        if too_many:  # Other checks would take as long as compiling the scene.
             return too_many
         carriers = {carrier(robot) or "" for robot in self.robots.values()}
         broken = {name: self.is_broken(name, ("robots",)) for name in carriers}
@@ -390,16 +388,16 @@ class Scene:
         for section, entries in sections:
             for name in entries:
                 if name in taken:
-                    message = f"{taken[name]} has this name; expected another one"
+                    message = f"{taken[name]} already has this name; expected a different name"
                     problems.append(Problem(f"{section}.{name}", message))
                 elif name in ("toggles", WORLD):
-                    message = "this name is reserved in routes; expected another one"
+                    message = "this name is reserved in routes; expected a different name"
                     problems.append(Problem(f"{section}.{name}", message))
             taken |= dict.fromkeys(entries, f"one of the {section}")
         placed = [*self.frames, *(item.name for item in self.objects), *self.cameras]
         for name in {name for name in placed if placed.count(name) > 1}:
             if name in self.frames or f"{name}.frame" in self.routes:
-                message = "two entries have this name, so a route is ambiguous"
+                message = "two entries have this name, so the route is ambiguous"
                 problems.append(Problem(f"routes.{name}.frame", message))
         return problems
 
@@ -428,15 +426,13 @@ class Scene:
         if view.follow is None:
             return []
         if view.camera is not None:
-            reason = (
-                "is only for the free camera, but view.camera names another one. Remove one of them"
-            )
-            return [Problem("view.follow", reason)]
+            reason = "follow is only for the free camera, but view.camera names another camera"
+            return [Problem("view.follow", f"{reason}. Remove one of the two keys")]
         found = self.follow_problem("view.follow", view.follow)
         return [] if found is None or self.is_broken(view.follow.partition("/")[0]) else [found]
 
     def follow_problem(self, key: str, name: str) -> Problem | None:
-        """Returns the problem of a name that a camera cannot follow, or None."""
+        """Returns a problem if the camera cannot follow `name`, and None otherwise."""
         names = [*self.groups, *self.robots, *self.named_frames()]
         if name in names or self.frame_name(name) in names:
             return None
@@ -474,32 +470,33 @@ class Scene:
                 for key in ("joint_angles", "path", *VALUE_INPUTS):
                     value = getattr(double, key)
                     if value is not None and value.shape[-1] not in (coupled.n, coupled.k):
-                        message = f"found {value.shape[-1]} joints; {double.of} has {coupled.n}"
+                        message = f"found values of {value.shape[-1]} joints, but {double.of} has "
+                        message += str(coupled.n)
                         if coupled.is_coupled:
-                            message += f", {coupled.k} without the coupled ones"
+                            message += f", or {coupled.k} without the coupled joints"
                         problems.append(Problem(f"doubles.{name}.{key}", message))
             lines = double.billboard_lines
             if lines is not None and double.of in self.robots:
                 with collect(problems, f"doubles.{name}.billboard_lines"):
                     check_line_values(lines, self.robots[double.of].inputs)
             if double.path is not None and len(double.path) < 2:
-                problems.append(Problem(f"doubles.{name}.path", "expected two rows or more"))
+                problems.append(Problem(f"doubles.{name}.path", "a path needs two rows or more"))
         return problems
 
     def declares(self, section: str, name: str) -> bool:
-        """Whether an entry exists, even if it is invalid."""
+        """Whether a section of the scene declares an entry, valid or invalid."""
         entries: Mapping[str, Any] = getattr(self, section)
         return name in entries or bool({section, f"{section}.{name}"} & self.broken)
 
     def declared(self, section: str) -> list[str]:
-        """Returns the names in a section (`robots`, `sources`, ...), including invalid entries."""
+        """Returns the names of all entries of a section (`robots`, ...), including invalid ones."""
         entries: Mapping[str, Any] = getattr(self, section)
         broken = [key.partition(".")[2] for key in self.broken if key.startswith(f"{section}.")]
         return [*entries, *broken]
 
     @property
     def argument(self) -> str:
-        """The scene as an argument of commands: an included name, or a file."""
+        """Argument with which commands open the scene: the name of an included scene, or a file."""
         file = self.file
         if file is None:
             files = [robot._model for robot in self.robots.values()]
@@ -507,10 +504,10 @@ class Scene:
         return self.name if file is None else argument_of(file)
 
     def located(self, problems: list[Problem]) -> list[Problem]:
-        """Returns problems with file and line, if the scene was read from a file."""
+        """Adds file and line to problems if the scene was read from a file."""
         if self.file is None and self._lines is None:
             return problems
-        if self.file is None:  # the scene of a single robot, which has a file
+        if self.file is None:  # The scene shows a single robot, which has a file.
             return [self._in_its_model(each, self._lines or {}) for each in problems]
         lines = key_lines(self.file) if self._lines is None else self._lines
         return located((self._in_its_model(each, lines) for each in problems), self.file, lines)
@@ -536,10 +533,7 @@ class Scene:
 
 
 def _shares(value: Array, robots: Sequence[SerialRobot]) -> list[Array] | None:
-    """Splits values (..., n) of all or of the independent joints into the values of each robot.
-
-    Returns None if the number of values is wrong.
-    """
+    """Splits joint values of several robots by robot. Returns None if their number is wrong."""
     for counts in ([robot.n for robot in robots], [robot.coupled.k for robot in robots]):
         if sum(counts) == value.shape[-1]:
             return np.split(value, np.cumsum(counts)[:-1], axis=-1)
@@ -550,7 +544,7 @@ def _not_their_sum(found: int, robots: Sequence[SerialRobot]) -> str:
     total, free = sum(robot.n for robot in robots), sum(robot.coupled.k for robot in robots)
     each = ", ".join(f"{robot.name} {robot.n}" for robot in robots)
     fewer = f", or {free} without the coupled joints" if free < total else ""
-    return f"found {found} joints; expected {total}: {each}{fewer}"
+    return f"found values of {found} joints; expected {total} ({each}){fewer}"
 
 
 def _floor_problems(floor: Any) -> list[Problem]:
@@ -560,11 +554,11 @@ def _floor_problems(floor: Any) -> list[Problem]:
 
 
 def excess(sections: Mapping[str, Any]) -> list[Problem]:
-    """Returns the sections of a file that have too many entries."""
+    """Returns a problem for each section of a scene that has too many entries."""
     return [
-        Problem(key, found=len(entries), expected=f"at most {most}")
-        for key, most in MOST_ENTRIES.items()
-        if isinstance(entries := sections.get(key), Sized) and len(entries) > most
+        Problem(key, found=len(entries), of="entries", expected=f"at most {maximum}")
+        for key, maximum in MOST_ENTRIES.items()
+        if isinstance(entries := sections.get(key), Sized) and len(entries) > maximum
     ]
 
 

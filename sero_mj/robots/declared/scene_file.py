@@ -1,4 +1,4 @@
-"""Reads a scene file and reports all of its problems together."""
+"""Reads a scene file and collects all of its problems."""
 
 from __future__ import annotations
 
@@ -38,10 +38,10 @@ from .surroundings import Camera, Light, Object, View, set_directory
 
 T = TypeVar("T")
 log = logging.getLogger(__name__)
-# Sections of named tables. An ambiguous name refers to the last section that contains it.
+# Sections of named tables. If several sections contain a name, it refers to the last of them.
 _ENTRIES = (
     *("decor", "sources", "lights", "cameras", "objects", "frames", "arrows", "doubles"),
-    "robots",  # last, so that robots have priority
+    "robots",
 )
 _TABLES: Mapping[str, Callable[..., Any]] = {"view": View, "toggles": SceneToggles}
 _PLAIN = ("floor", "name", "description", "note")
@@ -55,9 +55,10 @@ _OF_DYNAMICS = (
 def read_scene_file(
     path: Path, overrides: Mapping[str, Any] | None = None
 ) -> tuple[Scene, list[Problem]]:
-    """Reads a scene file in any format. Losses of conversion are logged as warnings.
+    """Reads a scene file in any supported format, and logs losses of a conversion as warnings.
 
-    Raises DeclarationError if the file cannot be read.
+    Returns the scene without its invalid parts, and all problems. Raises DeclarationError if the
+    file cannot be read. `scene_from_tables` documents `overrides`.
     """
     imported = read_imported(path)
     if imported is None:
@@ -75,22 +76,24 @@ def scene_from_tables(
     known: Collection[str] = (),
     lines: dict[str, int] | None = None,
 ) -> tuple[Scene, list[Problem]]:
-    """Builds the valid parts of a scene and reports the problems of the rest.
+    """Builds the valid parts of a scene and returns the problems of the invalid parts.
 
     Args:
-        overrides: mapping from dotted keys to values that override the file. A key is a key of
-            scene files (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or starts
-            with the name of a robot, group or object (`lwr.dynamics.coulomb_friction[1]`). Routes
-            to overridden inputs are removed.
-        known: names of additional sections, which are suggested if a section is mistyped.
+        path: scene file from which the tables were read.
+        tables: sections of the scene file.
+        overrides: values by dotted key that override the file. A key is a key of scene files
+            (`view.azimuth_deg`, `sources.udp.port`, `robots.lwr.show_axes`), or starts with the
+            name of a robot, group or object (`lwr.dynamics.coulomb_friction[1]`). Routes to
+            overridden inputs are removed.
+        known: names of additional valid sections, as suggestions for mistyped names.
         lines: line numbers of the keys (default: read from the TOML file).
 
     Returns:
-        the scene without its invalid parts, and all problems. Sources and routes are checked in
-        `sero_mj.data.drive`.
+        the scene without its invalid parts, and all problems. The package `sero_mj.data.drive`
+        checks sources and routes later.
 
     Raises:
-        DeclarationError: there are too many entries to build.
+        DeclarationError: a section has too many entries.
     """
     if not (too_many := excess(tables)):
         reader = _SceneReader(path, tables, known, overrides or {}, lines)
@@ -114,7 +117,7 @@ def scene_from_tables(
 def group_from_model(
     model: str, name: str | None = None, **fields: Any
 ) -> tuple[list[SerialRobot], list[Group]]:
-    """Reads the model of a group, like a table `[groups.NAME]` with `model` in a scene.
+    """Reads a group model, like the table `[groups.NAME]` of a scene file with the key `model`.
 
     Args:
         model: name of an included group (`dlr_hand2`), folder with a `group.toml`, or file.
@@ -126,7 +129,7 @@ def group_from_model(
         Robots and groups for a `Scene`.
 
     Raises:
-        UnknownName: there is no such model.
+        UnknownName: no group model has this name.
         DeclarationError: the files or the fields are invalid.
     """
     path = paths.find_group_model(model)
@@ -138,7 +141,7 @@ def group_from_model(
 
 
 class _SceneReader:
-    """Reads the sections of a file with overrides, and collects all problems."""
+    """Reads the sections of a scene file, applies overrides, and collects all problems."""
 
     def __init__(
         self,
@@ -152,10 +155,10 @@ class _SceneReader:
         self.tables = dict(tables)
         self.problems: list[Problem] = []
         self.broken: list[str] = []
-        self._settings: dict[str, list[tuple[str, Any]]] = {}  # key and value, by entry
-        self._set_for: dict[tuple[str, str], str] = {}  # the group that a robot's key was set for
-        self._made: list[str] = []  # entries that are not in the file
-        self._of_groups: dict[str, dict[str, str]] = {}  # errors by key: message, robot
+        self._settings: dict[str, list[tuple[str, Any]]] = {}  # overriding keys and values by entry
+        self._set_for: dict[tuple[str, str], str] = {}  # overridden group by robot and key
+        self._made: list[str] = []  # entries that only overrides declare
+        self._of_groups: dict[str, dict[str, str]] = {}  # by key: robot names by error message
         self.expanded = Expanded()
         others = self._override_groups(overrides)
         if isinstance(self.tables.get("groups"), dict):
@@ -173,7 +176,7 @@ class _SceneReader:
         robots = self.tables.get("robots", {})
         if expanded.robots and isinstance(robots, dict):
             for name in expanded.robots.keys() & robots.keys():
-                message = "a group with a model has a robot of this name"
+                message = "a robot of a group model already has this name"
                 self.problems.append(Problem(f"robots.{name}", message))
             self.tables["robots"] = {**robots, **expanded.robots}
 
@@ -203,7 +206,7 @@ class _SceneReader:
                 unknown = Problem(key, "unknown section", available=every)
                 self.problems.append(unknown)
                 meant = unknown.near
-                if meant in sections:  # references to its entries are not reported again
+                if meant in sections:  # References to its entries are not reported as errors.
                     self.broken.append(meant)
         read = {}
         for key, reader in sections.items():
@@ -214,17 +217,17 @@ class _SceneReader:
         fields = {"name": self.path.stem, **read, "file": self.path, "broken": self.broken}
         fields["lines"] = self.lines
         if not self.tables and not self.broken:
-            message = "is empty; expected at least [robots.NAME] or [objects.NAME]"
+            message = "the file is empty; expected at least [robots.NAME] or [objects.NAME]"
             self.problems.append(Problem("", message))
         scene = Scene(**fields)
-        for name, robot in scene.robots.items():  # its own values override its group's
+        for name, robot in scene.robots.items():  # Values of a robot override those of its group.
             for key, value in self._settings.get(f"robots.{name}", []):
                 field = key.partition("[")[0]
                 if field.removesuffix(_DEGREES) in SHARED:
-                    with suppress(ValueError):  # reported when the robot was built
+                    with suppress(ValueError):  # The error was reported when the robot was built.
                         changed = with_value({}, parts_of(key), value, built=robot)
                         setattr(robot, field, changed[field])
-        for key, messages in self._of_groups.items():  # robots of a group may differ in size
+        for key, messages in self._of_groups.items():  # Robots of a group may differ in size.
             texts = [f"{message} ({robot})" for message, robot in messages.items()]
             message = "; ".join([*messages] if len(messages) == 1 else texts[:3])
             self.problems.append(Problem(key, message))
@@ -246,9 +249,9 @@ class _SceneReader:
         return list(groups.values())
 
     def _override_groups(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
-        """Applies overrides of groups before their expansion; returns the others.
+        """Applies overrides of groups before their expansion, and returns the other overrides.
 
-        These are `groups.NAME.KEY`, and keys specific to groups with a model.
+        Overrides of groups are `groups.NAME.KEY`, and keys that only groups with a model have.
         """
         others = {}
         for target, value in overrides.items():
@@ -282,8 +285,8 @@ class _SceneReader:
             name, _, field = target.partition(".") if first in entries else rest.partition(".")
             if not field:
                 example = f"{name or first}.joint_angles"
-                expected = f"robot.field, e.g. {example}"
-                self.problems.append(Problem(target, "names no field", expected=expected))
+                expected = f"the names of a robot and a field, such as {example}"
+                self.problems.append(Problem(target, "the key has no field", expected=expected))
                 return
             if name not in tables[section]:
                 self.tables[section] = {**tables[section], name: {}}
@@ -323,7 +326,7 @@ class _SceneReader:
             return
         key = field.partition(".")[0].partition("[")[0]
         if key not in SerialRobot.model_fields:
-            message = f"no robot has this{did_you_mean(key, SerialRobot.model_fields)}"
+            message = f"no robot has this field{did_you_mean(key, SerialRobot.model_fields)}"
             self.problems.append(Problem(f"{group}.{field}", message))
             return
         for robot in robots:
@@ -426,7 +429,7 @@ class _SceneReader:
         settings = self._settings.get(place, [])
         built = below = None
         lists: dict[str, int] = {}
-        if settings:  # they override the file; elements of lists may be in a robot's own file
+        if settings:  # They may override single elements of a list in the robot file.
             with suppress(DeclarationError):
                 built = build(name, table)
             if isinstance(built, SerialRobot):
@@ -461,14 +464,14 @@ class _SceneReader:
     def _robot(self, name: str, table: dict[str, Any]) -> SerialRobot:
         robot = self._built(name, table)
         objects = self.expanded.objects.get(name, [])
-        if objects:  # of the group, fixed to its first robot
+        if objects:  # These are objects of a group that are fixed to its first robot.
             robot.children = [*robot.children, *objects]
         robot._declared = self.expanded.declared.get(f"robots.{name}", ())
         return robot
 
     def _built(self, name: str, table: dict[str, Any]) -> SerialRobot:
         if "name" in table:
-            message = f"belongs in the header: write [robots.{table['name']}] instead"
+            message = f"a robot has no key 'name'. Write [robots.{table['name']}] instead"
             raise Problem("name", message).error()
         fields = {**table, "name": name}
         arguments = _arguments(fields)
@@ -487,15 +490,15 @@ class _SceneReader:
             fields.setdefault("directory", str(beside))
             return build_robot(fields)
         if not isinstance(model, str | Path):
-            raise mismatch(model, "a robot's name", key="model")
+            raise mismatch(model, "the name of a robot", key="model")
         try:
             path = model if isinstance(model, Path) else paths.find_model(model, beside)
-        except DeclarationError as error:  # of another file
+        except DeclarationError as error:  # The error is in another file.
             raise Problem("model", str(error)).error() from None
         except UnknownName as error:
             raise DeclarationError(problems_of(error, "model")) from None
         if arguments is not None and path.suffix == ".toml":
-            message = f"are for xacro; {path.name} has none"
+            message = f"arguments are only for xacro, but the model is {path.name}"
             raise Problem("arguments", message).error()
         return build_robot(fields, path, arguments=arguments)
 
@@ -504,7 +507,7 @@ class _SceneReader:
         found = table.get("kind")
         try:
             files = file_fields(load_plugin(SOURCES, found)) if isinstance(found, str) else []
-        except (UnknownName, PluginError):  # reported where the source is made
+        except (UnknownName, PluginError):  # The error is reported when the source is created.
             files = []
         relative = {key: table[key] for key in files if isinstance(table.get(key), str)}
         return table | {key: str(self.path.parent / file) for key, file in relative.items()}
@@ -529,7 +532,7 @@ def _arguments(table: Mapping[str, Any]) -> dict[str, Any] | None:
         isinstance(value, str | int | float) for value in found.values()
     )
     if found is not None and not is_right:
-        raise mismatch(found, "texts and numbers by name", key="arguments")
+        raise mismatch(found, "a table of texts and numbers", key="arguments")
     return found
 
 

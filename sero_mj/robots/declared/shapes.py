@@ -1,9 +1,9 @@
 """Generates link shapes from joint frames, for robots without meshes.
 
-Each link has a cylinder about the axis of a revolute joint, or the rod of a prismatic joint, which
-slides through a box on the previous link. Capsules connect it to the next joint. Sizes are in
-proportion to the reach and never zero. Trims are covers on housings, collars on links, and a
-flange. They are drawn and have no mass.
+Each link has a cylinder about the axis of its revolute joint, or a rod if its joint is prismatic.
+The rod slides through a box on the previous link. Capsules connect the joints. Sizes are positive
+and in proportion to the reach. Trims are decorative covers on housings, collars on links, and a
+flange. They have no mass.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ _SEAM = (0.20, 0.21, 0.23, 1.0)
 _STEEL = (0.62, 0.64, 0.66, 1.0)
 
 _RADIUS_OF_REACH = 0.05
-_SMALLEST_REACH = 0.05  # m, so that a DH table of zeros shows its joints
-# Ratio of the radii of the last and the first link, so that nested joints share no surface.
+_SMALLEST_REACH = 0.05  # minimum reach in m, so that the joints of an all-zero DH table are visible
+# Ratio of the radii of the last and the first link. With 1, nested joints would share surfaces.
 _TAPER = 0.55
 _HALF_HOUSING = 1.25  # half the length of a housing, in radii
-_CLEAR_OF_HOUSING = 1.7  # in radii of the housing, whose ends are at 1.6 radii
+_CLEAR_OF_HOUSING = 1.7  # ring radius in housing radii; the ends of the housing are at 1.6
 _SHORTEST_SEGMENT = 1e-6  # m
 
 
 @dataclass(frozen=True, eq=False)
 class LinkShape:
-    """A primitive in a link's frame.
+    """A generated primitive shape in the frame of a link.
 
     Attributes:
-        size: radius (m) of capsule and cylinder; half lengths (3,) of a box.
-        ends: end points (2, 3) of a capsule or cylinder, or of the axis of a box, m.
+        size: radius of a capsule or cylinder, shape (1,), or half lengths of a box, shape (3,), m.
+        ends: end points of the axis of the shape, shape (2, 3), m.
     """
 
     kind: Literal["capsule", "cylinder", "box"]
@@ -50,10 +50,10 @@ class LinkShape:
 def housing_radii(
     table: JointTree, flange_frame: Array, strokes: Array | None = None, flange_link: int = -1
 ) -> Array:
-    """Returns the radii (n,) of the generated housings, m.
+    """Returns the radii of the generated joint housings, shape (n,), m.
 
-    The maximum extensions (n,), m, determine the size of robots without link lengths, such as
-    gantries.
+    `strokes` contains the maximum extensions of the joints, shape (n,), m. They determine the size
+    of robots without link lengths, such as gantries.
     """
     steps, depths = table.step_lengths(), table.depths
     if strokes is not None:
@@ -62,16 +62,16 @@ def housing_radii(
     along[flange_link] += float(np.linalg.norm(flange_frame[:3, 3]))
     reach = max(float(along.max()), _SMALLEST_REACH)
     longest = max(float(steps.max()), _SMALLEST_REACH / depths.max())
-    # Limited by the link length, for chains of many short links.
+    # The link length limits the radius in chains of many short links.
     radius = min(_RADIUS_OF_REACH * reach, 0.4 * longest)
     return np.asarray(radius * np.linspace(1.0, _TAPER, depths.max())[depths - 1])
 
 
 def clear_radii(table: JointTree, radii: Array) -> Array:
-    """Returns the radii (n,) of rings about the joints that are clear of all housings, m.
+    """Returns radii of rings about the joint axes that do not touch housings, shape (n,), m.
 
-    The housings of intersecting axes, as in a shoulder or wrist, coincide. Their rings are clear of
-    the largest housing.
+    The housings of intersecting axes, as in a shoulder or wrist, overlap. Their rings are larger
+    than the largest of these housings. `radii` contains the radii of all housings, shape (n,), m.
     """
     axes, centres = table.joint_axes(table.frames(np.zeros(len(table))))
     if isinstance(table, DhTable) and table.turns_in_carrier:
@@ -88,10 +88,10 @@ def generate_shapes(
     strokes: Array | None = None,
     flange_link: int = -1,
 ) -> list[list[LinkShape]]:
-    """Returns the shapes of the base and the links, each in its own frame.
+    """Returns the generated shapes of the base and of each link, in the frames of the links.
 
-    Rods of prismatic joints are longer by their maximum extensions (n,), m, so that they do not
-    leave their housings.
+    The arguments are those of `housing_radii`. The rod of a prismatic joint is at least as long as
+    the stroke, so that it does not leave its housing.
     """
     n = len(table)
     strokes = np.zeros(n) if strokes is None else strokes
@@ -116,7 +116,7 @@ def generate_shapes(
 def trims(
     links: list[list[LinkShape]], flange_frame: Array, flange_link: int
 ) -> list[list[LinkShape]]:
-    """Returns the trims of generated links, which are drawn and have no mass."""
+    """Returns decorative covers, collars and a flange for generated links, without mass."""
     found = [[trim for shape in link for trim in _trims_of(shape)] for link in links]
     own = [shape for shape in links[flange_link] if shape.kind != "box"] or links[0]
     radius = 0.8 * min(float(shape.size[0]) for shape in own)
@@ -133,7 +133,7 @@ def _trims_of(shape: LinkShape) -> list[LinkShape]:
     length = float(np.linalg.norm(end - start))
     radius = float(shape.size[0])
     axis = (end - start) / length
-    if shape.kind == "cylinder" and length > radius:  # not the pedestal
+    if shape.kind == "cylinder" and length > radius:  # The pedestal has no covers.
         covers = []
         for face, out in ((start, -axis), (end, axis)):
             for rgba, size, high in ((SHELL, 0.84, 0.10), (_SEAM, 0.50, 0.13)):
@@ -169,7 +169,7 @@ def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
 
 
 def _segments(table: JointTree, i: int, rod: float) -> tuple[Array, Array]:
-    """Returns the offsets of row i as polylines before the joint (fixed) and after it (moving).
+    """Returns polylines of the link offsets before joint i (fixed) and after it (moving).
 
     The offset along the joint axis is fixed. The rod of a prismatic joint moves with its link.
     """
@@ -184,7 +184,8 @@ def _segments(table: JointTree, i: int, rod: float) -> tuple[Array, Array]:
     if table.convention == "craig":
         z_next = np.array([0.0, -np.sin(alpha), np.cos(alpha)])
         return np.array([zero, along_x, along_x + d * z_next]), np.array([[0, 0, -rod], zero])
-    # Standard: Rz(theta) Tz(d), then Tx(a) Rx(alpha); x of the row is x of frame i + 1.
+    # In the standard convention, Rz(theta) Tz(d) precedes Tx(a) Rx(alpha), so a is along x of
+    # frame i + 1.
     z_joint = np.array([0.0, np.sin(alpha), np.cos(alpha)])
     return np.array([zero, along_z]), np.array([-along_x - rod * z_joint, -along_x, zero])
 
@@ -200,8 +201,8 @@ def _capsules(points: Array, radius: float) -> list[LinkShape]:
 def _housing(table: JointTree, i: int, radius: float) -> LinkShape:
     """Returns the housing about the axis of joint i, at the end of the offset d.
 
-    The housing of a revolute joint moves with frame i + 1. The housing of a prismatic joint is in
-    the parent frame, and the rod passes through it.
+    The housing of a revolute joint moves with frame i + 1. The housing of a prismatic joint is
+    fixed in the parent frame, and the rod passes through it.
     """
     axis, centre = np.array([0.0, 0.0, 1.0]), np.zeros(3)
     if not isinstance(table, DhTable):

@@ -22,17 +22,17 @@ from ...base.frames import Array
 from ..importers.mesh_files import mesh_endings
 from ..importers.mjcf_file import is_mjcf_object
 
-_MJCF_KINDS = "a file's name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
+_MJCF_KINDS = "a file name, MJCF text, a mujoco.MjSpec, a PyMJCF RootElement or a composer entity"
 
-# Entries of `size` of each shape, m.
+# Entries of `size` by shape, m.
 SHAPE_SIZES = {
     "box": "length x, length y, length z",
     "sphere": "radius",
     "cylinder": "radius, length",
-    "capsule": "radius, length between the two centres",
+    "capsule": "radius, length between the centers of the half spheres",
     "ellipsoid": "radius x, radius y, radius z",
     "axes": "length",
-    "limb": "length of its first link, of its second, radius of the first, of the second",
+    "limb": "length of link 1, length of link 2, radius of link 1, radius of link 2",
 }
 Rgb = tuple[float, float, float]
 Look = Literal["light", "dark"]
@@ -42,7 +42,7 @@ FinishName = Literal["plastic", "metal", "rubber"]
 def _inside(file: str) -> str:
     path = Path(file)
     if "\0" in file:
-        raise mismatch(file, "a file's name")
+        raise mismatch(file, "a file name")
     if path.is_absolute() or ".." in path.parts:
         raise mismatch(file, "a file inside the directory, without '..'")
     return file
@@ -51,7 +51,7 @@ def _inside(file: str) -> str:
 def _of_a_mesh(file: str) -> str:
     if Path(_inside(file)).suffix.lower() not in mesh_endings():
         formats = ", ".join(mesh_endings())
-        raise mismatch(file, f"a mesh ({formats})")
+        raise mismatch(file, f"a mesh file ({formats})")
     return file
 
 
@@ -63,7 +63,7 @@ MeshFile = Annotated[str, AfterValidator(_of_a_mesh)]
 
 
 def check_mjcf(mjcf: Any) -> Any:
-    """Returns a piece of MJCF. Raises ValueError if its type is invalid."""
+    """Returns a declared MJCF file, text or object. Raises ValueError if it is none of these."""
     if mjcf is None or is_mjcf_object(mjcf):
         return mjcf
     if not isinstance(mjcf, str):
@@ -76,7 +76,7 @@ def check_mjcf(mjcf: Any) -> Any:
 
 
 def check_shape_size(shape: str, size: Array | None) -> None:
-    """Raises ValueError if the size of a shape is invalid."""
+    """Raises ValueError if `size` is invalid for a primitive shape, `axes` or a `limb`."""
     meaning = SHAPE_SIZES[shape]
     if size is None or len(size) != len(meaning.split(",")) or (size <= 0).any():
         found = "none" if size is None else size.tolist()
@@ -87,31 +87,30 @@ def check_shape_size(shape: str, size: Array | None) -> None:
 
 
 class Object(Declaration):
-    """An object: a primitive shape, coordinate axes, a mesh, a piece of MJCF, or a URDF.
+    """An object of a scene or robot: a primitive shape, coordinate axes, a mesh, MJCF, or URDF.
 
     An object is fixed to its frame. In simulation, an object of a scene with a mass moves freely.
 
     Attributes:
-        name: unique name in its scene or robot.
-        shape: primitive shape. `axes` shows coordinate axes at the frame of the object. A `limb` is
-            an arm or leg of a person: two links from its frame to the frame that it `reaches`.
-        size: full lengths and radii in m, see `SHAPE_SIZES`.
+        name: unique name in the scene or robot.
+        shape: primitive shape, or `axes` for coordinate axes at the frame of the object, or `limb`
+            for an arm or leg of a person, with two links from this frame to the frame `reaches`.
+        size: full lengths and radii in m, for example radius and length of a cylinder.
         mesh: mesh file, relative to `directory`.
-        mesh_scale: length of the unit of the mesh file in m.
+        mesh_scale: unit of the mesh file in m.
         mjcf: MJCF file relative to `directory`, MJCF text that starts with `<mujoco`, or in Python
             a `mujoco.MjSpec`, a PyMJCF `mjcf.RootElement`, or a dm_control composer entity.
         urdf: URDF file without joints relative to `directory`, for example of a table or a tool.
-        frame: pose in the world, or in the frame of the robot to which a child is fixed.
-        reaches: for a limb, the frame at its end (`left/flange`). Its joint is on the side of the x
-            axis of its frame. If the end is out of reach, the limb points towards it.
-        end: for a limb, the position of its end in this frame, m.
-        on: for a child of a robot, the frame to which it is fixed: `base`, `link1`, ..., `flange`.
-        rgba: red, green, blue and opacity, from 0 to 1. A piece of MJCF has its own colors.
-        finish: surface of a shape or mesh: `plastic`, `metal` or `rubber`.
-        mass: mass of a solid with uniform density, kg (default for a child of a robot: the density
-            of water).
-        friction: coefficient of friction of all contacts in simulation (default: 0.3).
-        directory: folder of the files, set by the reader of the declaration.
+        frame: pose of the object in the world, or in the frame to which a child is fixed.
+        reaches: frame at the end of a limb (`left/flange`). The joint of the limb is on the side of
+            the x axis of `frame`. If the end is out of reach, the limb points towards it.
+        end: position of the end of a limb in the frame `reaches`, m.
+        on: frame of the robot to which a child is fixed, `base`, `link1`, ..., `flange`.
+        rgba: color as red, green, blue and opacity, from 0 to 1. MJCF has its own colors.
+        finish: surface finish of a shape or mesh, `plastic`, `metal` or `rubber`.
+        mass: mass in kg, with uniform density (default for a child of a robot: density of water).
+        friction: friction coefficient of all contacts in simulation (default: 0.3).
+        directory: folder of the files, set when the declaration is read.
     """
 
     name: Name
@@ -149,13 +148,14 @@ class Object(Declaration):
             found = " and ".join(given) or "none of them"
             raise ValueError(f"found {found}; expected exactly one of shape, mesh, mjcf, urdf")
         if (self.shape == "limb") != (self.reaches is not None):
-            found = self.reaches or "none"
-            raise ValueError(f"reaches: found {found}; expected a frame of a limb, and of no other")
+            if self.reaches is None:
+                raise ValueError("reaches: found none; expected the frame at the end of the limb")
+            raise ValueError(f"reaches: found {self.reaches}; expected it only for a limb")
         self._check_solid()
         if "finish" in self.model_fields_set and (self.shape in (None, "axes") and not self.mesh):
             what = "axes" if self.shape else "MJCF" if self.mjcf is not None else "a URDF"
             found = f"finish: found '{self.finish}' for {what}"
-            raise ValueError(f"{found}; expected it of a shape that is a body, or of a mesh")
+            raise ValueError(f"{found}; expected a finish only for solid shapes and meshes")
         if self.shape is None:
             return self
         if self.size is None and self.shape == "axes":
@@ -169,19 +169,19 @@ class Object(Declaration):
                 continue
             found = f"{key}: found {getattr(self, key):g}"
             if self.urdf is not None:
-                raise ValueError(f"{found} for a URDF, which stays where it is; expected none")
+                raise ValueError(f"{found} for a URDF, which is fixed; expected no {key}")
             if self.mjcf is not None:
-                raise ValueError(f"{found} for a piece of MJCF; expected it in its geoms")
-            raise ValueError(f"{found} for {self.shape}; expected another shape, or a mesh")
+                raise ValueError(f"{found} for MJCF; expected the {key} in its geoms")
+            raise ValueError(f"{found} for {self.shape}; expected a solid shape or a mesh")
 
     @property
     def is_free(self) -> bool:
-        """Whether it moves freely in simulation."""
+        """Whether the object, if it belongs to a scene, moves freely in simulation."""
         return self.mass is not None
 
 
 def set_directory(children: Any, folder: Path) -> None:
-    """Makes the folders of children relative to the folder of their file."""
+    """Resolves the directories of children in tables relative to the folder of their file."""
     for child in children if isinstance(children, list) else []:
         if isinstance(child, dict) and isinstance(child.setdefault("directory", ""), str):
             child["directory"] = str(folder / child["directory"])
@@ -195,19 +195,19 @@ def _unit_range(rgb: Array) -> Array:
 
 def _direction(vector: Array) -> Array:
     if not np.abs(vector).max() > 0:
-        raise mismatch(vector.tolist(), "a direction")
+        raise mismatch(vector.tolist(), "a nonzero vector")
     return vector
 
 
 class Camera(Declaration):
-    """A named camera.
+    """A camera of a scene, which may be fixed or move with a robot.
 
     Attributes:
-        position: position in `frame`, m.
-        look_at: point at the center of the image, in `frame`, m.
+        position: position of the camera in `frame`, m.
+        look_at: point at the center of the image in `frame`, m.
         fovy_deg: vertical field of view in degrees.
-        frame: T_world_frame of `position` and `look_at`. A route to its input `NAME.frame` can move
-            the camera with a robot.
+        frame: initial reference frame of `position` and `look_at`, as a pose in the world. A route
+            to the input `NAME.frame` moves it, for example with a robot.
     """
 
     position: Point
@@ -220,7 +220,7 @@ class Camera(Declaration):
     def _is_elsewhere(cls, look_at: Array, info: ValidationInfo) -> Array:
         position = info.data.get("position")
         if position is not None and np.array_equal(look_at, position):
-            raise mismatch(look_at.tolist(), "another point than position")
+            raise mismatch(look_at.tolist(), "a point that differs from position")
         return look_at
 
 
@@ -228,11 +228,13 @@ class View(Declaration):
     """The default view of a scene.
 
     Attributes:
-        camera: name of a camera of the scene. The other fields concern the free camera.
+        camera: name of a camera of the scene. All other fields except `look` are for the free
+            camera.
         azimuth_deg: viewing direction about the vertical axis in degrees; 90 looks along +y.
-        elevation_deg: elevation in degrees; negative values look down.
-        distance: distance from the look-at point in m (default: fits the scene).
-        look_at: look-at point (3,), m (default: the center of the scene).
+        elevation_deg: viewing direction above the horizontal plane in degrees; negative values look
+            down.
+        distance: distance of the free camera from `look_at` in m (default: fits the scene).
+        look_at: point at the center of the image, m (default: the center of the scene).
         follow: robot, group or frame (`lwr/flange`) that the free camera follows.
         look: color theme, `light` or `dark`.
     """
@@ -248,16 +250,16 @@ class View(Declaration):
 
 @dataclass(frozen=True)
 class PhysicalLight:
-    """Light of the surroundings for physically based renderers.
+    """Lighting of a scene for physically based renderers.
 
     Values are relative to the light that renders a white surface as white.
 
     Attributes:
-        sky: radiance of the sky that lights surfaces, relative to the visible radiance.
-        ground: radiance from below, relative to the color of the lighter tiles of the floor.
-        softbox: radiance of a large lamp above, which smooth surfaces reflect.
-        key: illuminance of the light that casts shadows, on a surface that faces it.
-        bulb: radius of this light, m. A larger radius results in softer shadows.
+        sky: radiance of the sky for lighting surfaces, relative to its visible radiance.
+        ground: radiance from below, relative to the color of the lighter floor tiles.
+        softbox: radiance of a large lamp above the scene, which smooth surfaces reflect.
+        key: illuminance by the light that casts shadows, on a surface facing the light.
+        bulb: radius of the light that casts shadows, m. A larger radius softens the shadows.
     """
 
     sky: float
@@ -269,15 +271,15 @@ class PhysicalLight:
 
 @dataclass(frozen=True)
 class Palette:
-    """Colors of the surroundings (red, green, blue from 0 to 1) and lights.
+    """Colors and lights of a color theme. Colors are red, green and blue, from 0 to 1.
 
     Attributes:
-        sky: colors at the horizon and at the zenith.
+        sky: colors of the sky at the horizon and at the zenith.
         tiles: two colors of the floor tiles, and the color of the lines between them.
-        haze: color at the end of the floor.
-        headlight: ambient and diffuse intensity.
+        haze: color into which the floor fades in the distance.
+        headlight: ambient and diffuse intensity of the headlight.
         key: intensity of the light that casts shadows.
-        physical: the same light for physically based renderers.
+        physical: corresponding lighting for physically based renderers.
     """
 
     sky: tuple[Rgb, Rgb]
@@ -288,10 +290,10 @@ class Palette:
     physical: PhysicalLight
 
 
-KEY_DIRECTION = (-0.35, 0.4, -1.0)  # direction of the light that casts shadows
+KEY_DIRECTION = (-0.35, 0.4, -1.0)  # direction of the rays that cast shadows
 
 PALETTES = {
-    # Together with the key light, a floor is just below white when viewed from above.
+    # With the key light, the floor is slightly darker than white when viewed from above.
     "light": Palette(
         sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
         tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
@@ -313,14 +315,14 @@ PALETTES = {
 
 @dataclass(frozen=True)
 class Finish:
-    """Reflection of light at a surface.
+    """The reflection properties of a surface.
 
     Attributes:
         roughness: roughness from 0 (mirror) to 1, for physically based renderers. Its square is
-            the width of a microfacet lobe.
+            the width of the microfacet lobe.
         metallic: fraction of the light that is reflected in the color of the surface.
-        specular: strength of highlights in the classic renderer, 0 to 1.
-        shininess: sharpness of highlights in the classic renderer, 0 to 1.
+        specular: strength of highlights in the classic renderer, from 0 to 1.
+        shininess: sharpness of highlights in the classic renderer, from 0 to 1.
     """
 
     roughness: float
@@ -329,10 +331,10 @@ class Finish:
     shininess: float
 
 
-# Plastic is the default material of MuJoCo. In surroundings with one lamp, a metal that reflects
-# all light would be almost black, so about half of the light is scattered, like by blasted
-# aluminum. The values of roughness were chosen by eye, satin for metal and dull for rubber. The
-# shininess is (2 / roughness^4 - 2) / 128, see `filament/geoms.py`.
+# Plastic is the default material of MuJoCo. With one lamp, a metal that reflects all light would be
+# almost black, so about half of the light is scattered, as by sandblasted aluminum. The values of
+# roughness were chosen by eye, satin for metal and dull for rubber. The shininess is
+# (2 / roughness^4 - 2) / 128, which `filament/geoms.py` explains.
 FINISHES: dict[str, Finish] = {
     "metal": Finish(roughness=0.42, metallic=0.45, specular=0.8, shininess=0.49),
     "rubber": Finish(roughness=0.9, metallic=0.0, specular=0.1, shininess=0.008),
@@ -340,14 +342,14 @@ FINISHES: dict[str, Finish] = {
 
 
 class Light(Declaration):
-    """A light with a position and a direction.
+    """A light of a scene.
 
     Attributes:
-        position: position (3,), m.
-        direction: direction (3,) of the light, of any length.
-        diffuse: red, green and blue, from 0 to 1.
+        position: position of the light in the world, m.
+        direction: direction of the rays, as a vector of any length.
+        diffuse: diffuse color as red, green and blue, from 0 to 1.
         directional: whether the rays are parallel, like those of the sun.
-        cast_shadow: whether objects cast shadows.
+        cast_shadow: whether the light casts shadows.
     """
 
     position: Point

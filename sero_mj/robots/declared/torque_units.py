@@ -1,9 +1,9 @@
-"""Display units of torques and forces, with one SI prefix for all joints of a robot.
+"""Display units of torques and forces.
 
-The prefix depends on the largest torque of the revolute joints and on the largest force of the
-prismatic joints. From 0.1 to 10,000, the units are Nm and N. Otherwise, the prefix u, m or k is
-chosen so that the largest value is between 1 and 999. Files, packets and messages about single
-values always use Nm and N.
+All revolute joints of a robot have the same unit, and so have all prismatic joints. If the largest
+torque or force is between 0.1 and 10,000, the unit is Nm or N. Otherwise, it has the prefix u, m or
+k, so that the largest value is between 1 and 999. Files, packets and messages about single values
+always use Nm and N.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 
-_PLAIN = 0.1, 1e4  # Nm or N
+_PLAIN = 0.1, 1e4  # range without a prefix, Nm or N
 _PREFIXES = (1e3, "k"), (1e-3, "m"), (1e-6, "u")  # u instead of µ, because billboards use ASCII
 
 
 class TorqueUnit(NamedTuple):
-    """A unit of torques or forces.
+    """A display unit of torques or forces.
 
     Attributes:
         factor: conversion factor from Nm or N to this unit.
@@ -35,7 +35,7 @@ NM, N = TorqueUnit(1.0, "Nm"), TorqueUnit(1.0, "N")
 
 
 def torque_units(largest: Array, revolute: Bools | Sequence[bool]) -> list[TorqueUnit]:
-    """Returns the units of n joints whose largest torques (n,), Nm or N, are known."""
+    """Returns the display units of n joints, given their largest torques (n,), in Nm or N."""
     turns = np.asarray(revolute, bool)
     known = np.where(np.isfinite(largest), largest, 0.0)
     of_turning = _prefixed(NM.name, float(known[turns].max(initial=0.0)))

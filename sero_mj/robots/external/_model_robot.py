@@ -22,7 +22,7 @@ from ..declared.robot import SerialRobot
 from ..importers.mjcf_model import frames_at_zero, link_poses, torque_limits
 from ._model_trees import Tree, without_scope
 
-# Fields that users can set. The model determines all other fields.
+# Fields of a robot that users can set. The model determines all other fields.
 FIELDS = (
     "torque_limits",
     "acceleration_limits",
@@ -76,12 +76,12 @@ class ModelRobot(SerialRobot):
 
 @dataclass(frozen=True, eq=False)
 class ModelPart(RobotPart):
-    """Indices of a robot in an external model.
+    """The indices of a robot in an external model.
 
     Attributes:
         size: reach of the robot, m.
-        tool: name of the frame at the end of the chain, without the robot's name.
-        labels: names of the base and the n links.
+        tool: label of the frame at the end of the chain, without the robot's name.
+        labels: labels of the base and the n links.
     """
 
     robot: ModelRobot
@@ -118,9 +118,10 @@ def model_part(
     overrides: Mapping[str, Any],
     start: int,
 ) -> ModelPart:
-    """Returns the declaration and indices of a robot, measured in the state `rest`.
+    """Creates the declaration and indices of a robot that was found in an external model.
 
-    Fields set by the user override the measured values.
+    Sizes are measured in the state `rest`, and `overrides` contains fields that override them.
+    `start` is the row of the first joint in the `JointTable`.
     """
     sizes = measure(model, rest, MeasuredBodies(tree.bodies, tree.joints, tree.trunk))
     problems: list[Problem] = []
@@ -179,7 +180,7 @@ def _model_robot(
             joint_frames=_joint_frames(model, tree),
             joint_types=["revolute" if turns else "prismatic" for turns in revolute],
             joint_names=tree.joint_names,
-            torques=np.zeros(n),  # declares the input for billboards; the model provides the values
+            torques=np.zeros(n),  # Billboards need this input, and the model provides the values.
             **fields,
         )
     raise_any(problems)
@@ -211,11 +212,11 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Returns the named frames of a model, with the state and the row from which each is read.
+    """Returns the named frames of an external model, and the locations of their poses.
 
-    A frame is read from the state of a named double, or from the model's own state if the name is
-    empty. Rows refer to `xpos` followed by `site_xpos`. Frames of robots and doubles are called
-    `robot/body`. `wanted` contains names of additional bodies and sites.
+    Frames of robots and doubles are named `robot/body`. `wanted` contains names of additional
+    bodies and sites. A location is the name of the double from whose state the pose is read ("" for
+    the user's data), and the row in `xpos` followed by `site_xpos`.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}
@@ -229,7 +230,7 @@ def list_model_frames(
         alpha = opacity * (1.0 - part.robot.axes_transparency)
         for body, label in body_labels(model, part.tree).items():
             if state and label == _BASE:
-                continue  # a double shares the base frame of its robot
+                continue  # A double shares the base frame of its robot.
             frame = f"{name}/{label}"
             size = _axes_length(model, part, body)
             frames[frame] = NamedFrame(frame, frame, name, name, size, alpha)
@@ -242,7 +243,7 @@ def list_model_frames(
 
 
 def body_labels(model: mujoco.MjModel, tree: Tree) -> dict[int, str]:
-    """Returns the labels of the frames of a robot's bodies, base first."""
+    """Returns the frame labels of a robot's bodies by body id, base first."""
     labels: dict[int, str] = {int(tree.bodies[0]): _BASE}
     bodies = [int(body) for body in tree.bodies[1:]]
     names = [model.body(body).name or f"body{body}" for body in bodies]

@@ -1,6 +1,6 @@
 """Adds the sites and `userdata` that decor reads to the state of an external model.
 
-They cannot be added to a compiled model, so `ModelWorld` creates a `ModelState` for every frame.
+A compiled model cannot be extended, so `ModelWorld` creates a `ModelState` for every video frame.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ _PARALLEL = 1e-6  # minimum perpendicular component of a unit vector that is not
 
 @dataclass(frozen=True, eq=False)
 class ModelState:
-    """The state of an external model, as decor reads it.
+    """The state of an external model with the additional fields that decor reads.
 
     Attributes:
-        site_xpos: positions of joints, then frames, then fixed points, shape (S, 3).
-        doubles: mapping from names of doubles with a pose to states. A path has several states.
+        site_xpos: positions of joints, frames and fixed points, in this order, shape (S, 3), m.
+        doubles: states by name of the double, for doubles with a pose. A path has several states.
     """
 
     data: mujoco.MjData
@@ -41,13 +41,13 @@ class ModelState:
 
 
 class Sites:
-    """Reads the site poses of a `ModelState`: joints, then frames, then fixed points.
+    """Computes the S site poses of a `ModelState`, in the order joints, frames, fixed points.
 
     Args:
-        joints: joint frames of every robot and double, with the name of the double from whose state
-            they are read, or "" for the user's data.
-        frames: name of a double or "", and row of `xpos` followed by `site_xpos`, for each frame.
-        points: world positions of fixed points, shape (P, 3), m.
+        joints: joint frames of each robot and double. The name is the double from whose state they
+            are read, or "" for the user's data.
+        frames: name of a double or "", and row in `xpos` followed by `site_xpos`, for each frame.
+        points: positions of fixed points in the world, shape (P, 3), m.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Sites:
         points: Array,
     ) -> None:
         self._joints, self._points, self._count = joints, points, len(frames)
-        self._frames = {  # maps states to indices and rows of frames
+        self._frames = {  # indices and rows of frames by name of the state
             name: (
                 [k for k, (of, _) in enumerate(frames) if of == name],
                 [row for of, row in frames if of == name],
@@ -68,11 +68,11 @@ class Sites:
     def read(
         self, data: mujoco.MjData, doubles: dict[str, list[mujoco.MjData]]
     ) -> tuple[Array, Array]:
-        """Returns positions (S, 3) and rotations (S, 9)."""
+        """Returns the positions (S, 3) in m and rotation matrices (S, 9) of all sites."""
         positions, rotations = [np.empty((0, 3))], [np.empty((0, 3, 3))]
 
         def state_of(name: str) -> mujoco.MjData:
-            # A double without a pose is not shown; the user's data replaces it.
+            # A double without a pose is not shown, so the user's data can replace its state.
             return doubles[name][0] if name in doubles else data
 
         for name, joints in self._joints:
@@ -96,10 +96,10 @@ class Sites:
 
 
 class JointPoses:
-    """Computes joint frames with z along the joint axis, offset (n, 3) from the anchors.
+    """Computes the frames of joints, with z along the joint axis, for arrows and billboards.
 
-    As in a compiled scene, a frame rotates with its link, and is parallel to the link's frame if
-    the joint axis is the link's z axis. Several hinges of one body rotate in sequence.
+    As in a compiled scene, a frame rotates with its link, and is parallel to the link frame if the
+    joint axis is the z axis of the link. Several hinges of the same body rotate in sequence.
     """
 
     def __init__(self, model: mujoco.MjModel, joints: Ints, offset: Array) -> None:
@@ -107,20 +107,20 @@ class JointPoses:
         self._bodies = model.jnt_bodyid[joints].astype(np.intp)
         self._parents = model.body_parentid[self._bodies].astype(np.intp)
         self._hinge = model.jnt_type[joints] == int(mujoco.mjtJoint.mjJNT_HINGE)
-        self._anchor = np.array(model.jnt_pos[joints])  # in the body's frame, shape (n, 3), m
+        self._anchor = np.array(model.jnt_pos[joints])  # positions in body frames, shape (n, 3), m
         self._qpos = model.jnt_qposadr[joints].astype(np.intp)
         self._reference = np.array(model.qpos0[self._qpos])
-        in_parent = np.empty((len(joints), 9))  # the frames at the reference angles
+        in_parent = np.empty((len(joints), 9))  # rotations at the reference angles
         for matrix, joint, body in zip(in_parent, joints, self._bodies, strict=True):
             quat = np.empty(4)
             mujoco.mju_quatZ2Vec(quat, model.jnt_axis[joint])
             mujoco.mju_mulQuat(quat, model.body_quat[body], quat.copy())
             mujoco.mju_quat2Mat(matrix, quat)
-        # y is used if x is along the axis
+        # y replaces x if x is parallel to the axis.
         self._x, self._y = np.moveaxis(in_parent.reshape(-1, 3, 3), 2, 0)[:2]
 
     def place(self, data: mujoco.MjData) -> tuple[Array, Array]:
-        """Returns positions (n, 3) and rotations (n, 3, 3) of the current joint frames."""
+        """Returns the positions (n, 3) in m and rotations (n, 3, 3) of the joint frames."""
         axis = data.xaxis[self._joints]
         parent = data.xmat[self._parents].reshape(-1, 3, 3)
         body = data.xmat[self._bodies].reshape(-1, 3, 3)
@@ -145,7 +145,7 @@ class JointPoses:
 
 
 class ModelDoubles:
-    """Computes the poses of the doubles of a model."""
+    """Computes the poses of the doubles in an external model."""
 
     def __init__(self, model: mujoco.MjModel, doubles: Mapping[str, DoublePart]) -> None:
         self._model = model
@@ -158,9 +158,9 @@ class ModelDoubles:
     def pose(
         self, data: mujoco.MjData, angles: Mapping[str, Array]
     ) -> dict[str, list[mujoco.MjData]]:
-        """Returns the states of the doubles with joint angles. Other bodies are as in `data`.
+        """Returns states of the model in the poses of its doubles, by name of the double.
 
-        `angles` maps names of doubles to joint angles (n,). Paths contain their own joint angles.
+        `angles` contains the joint angles of doubles, shape (n,). Paths have their own angles.
         """
         poses = {}
         for name, part in self._doubles.items():
@@ -176,7 +176,7 @@ class ModelDoubles:
         return poses
 
     def drawn(self, state: Any, name: str) -> list[DrawnDouble]:
-        """Returns the links of a double that do not coincide with those of its robot."""
+        """Returns a double to be drawn, without links that coincide with those of its robot."""
         part = self._doubles[name]
         poses = state.doubles.get(name, [])
         mine = np.isin(self._model.body_rootid, self._model.body_rootid[part.of.bodies[1:]])

@@ -1,11 +1,11 @@
 """Finds the robots in an external model and determines their names.
 
-A robot is a kinematic tree with hinge or slide joints: a child of the world and its descendants.
-There are two exceptions:
+A robot is a kinematic tree with hinge or slide joints, which consists of a child of the world and
+its descendants. There are two exceptions:
 
-- If a model has actuators, only the trees that they drive are robots, unlike doors and knobs.
+- If a model has actuators, only the trees that they drive are robots. Doors and knobs are not.
 - MuJoCo fuses a fixed trunk with the world, so that its limbs become separate trees. Limbs that
-  touch the same solid geoms of the world are one robot.
+  touch the same solid geoms of the world form one robot.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _PART_WORDS = frozenset(
     }
 )
 _UNNAMED = "MuJoCo Model"  # MuJoCo's name for an unnamed model
-_TOUCHING = 0.2  # maximum gap of touching solids, fraction of the diagonal of the world's solid
+_TOUCHING = 0.2  # maximum gap between touching geoms, relative to the world geom's diagonal
 _TYPES = mujoco.mjtGeom
 
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One kinematic tree, or several with a fused trunk.
+    """A robot in an external model: one kinematic tree, or several trees on a fused trunk.
 
     Attributes:
-        name: name of the root body, or of the model if the root has a name like `base_link`. It is
-            unique and valid in routes.
-        bodies: ids of the bodies, parents before children. The first one is the root, or the world
+        name: unique name for routes, which is the name of the root body, or of the model if the
+            root has a generic name such as `base_link`.
+        bodies: ids of the bodies, parents before children. The first body is the root, or the world
             if there is a trunk.
-        trunk: ids of the world's geoms that form the fused trunk.
-        joints: ids of hinges and slides, shape (n,).
+        trunk: ids of the geoms of the world body that form the fused trunk.
+        joints: ids of the hinges and slides, shape (n,).
         joint_names: names of the n joints without their common scope.
         chain: indices of the joints between the root and the first branch, which move the tool of a
             serial arm.
@@ -61,14 +61,14 @@ class Tree:
     last: int
 
     def carriers(self, model: mujoco.MjModel) -> Ints:
-        """Returns the parent link of each joint, shape (n,): 0 for the root, i for joint i."""
+        """Returns the index of each joint's parent link, shape (n,), 0 for the root."""
         return read_links(model, self.joints)[1]
 
 
 def find_trees(model: mujoco.MjModel, wanted: Collection[str] = ()) -> list[Tree]:
     """Returns the robots of a model in the order of their bodies.
 
-    `wanted` contains names of trees that are robots even though they have no actuators.
+    `wanted` contains names of trees that are robots even if they have no actuators.
     """
     single = np.isin(model.jnt_type, (_HINGE, _SLIDE))
     tree_of_joint = model.body_rootid[model.jnt_bodyid]
@@ -109,17 +109,17 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
     limbs = []
     for root in hinged:
         own = geoms_of(model, np.array([root]))
-        # The origin of the body is included for limbs without geoms.
+        # The box includes the origin of the body, because a limb may have no geoms.
         corners = np.vstack([data.xpos[root], low[own], high[own]])
         limbs.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     size = np.concatenate([np.ptp(limb, axis=0) for limb in limbs]).reshape(-1, 3)
     largest = 2 * np.linalg.norm(size, axis=1).sum()
-    nodes: list[tuple[int, Array, float]] = []  # root, or -1 - geom; box; reach
+    nodes: list[tuple[int, Array, float]] = []  # root id or -1 - geom id, box, and bridged gap
     nodes += [(root, box, 0.0) for root, box in zip(hinged, limbs, strict=True)]
     for geom in solid.nonzero()[0]:
         box = np.stack([low[geom], high[geom]])
         diagonal = float(np.linalg.norm(box[1] - box[0]))
-        if diagonal <= largest:  # excludes furniture and walls
+        if diagonal <= largest:  # Larger geoms are furniture and walls.
             nodes.append((-1 - int(geom), box, _TOUCHING * diagonal))
     groups: list[tuple[Ints, Ints]] = []
     joined: set[int] = set()
@@ -146,16 +146,16 @@ def _is_limb(model: mujoco.MjModel, root: int) -> bool:
 
 
 def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
-    """Returns the nodes that solids of the world connect to the node `start`, which is included.
+    """Returns the ids of the nodes that geoms of the world connect to `start`, including `start`.
 
-    A node has an id (negative for solids of the world), a box (2, 3), and the gap that it bridges.
+    A node has an id (negative for geoms of the world), a box (2, 3), and the gap that it bridges.
     """
     found, todo = {start}, [node for node in nodes if node[0] == start]
     while todo:
         key, box, reach = todo.pop()
         for node in nodes:
             if node[0] in found or (key >= 0 and node[0] >= 0):
-                continue  # only a trunk connects limbs
+                continue  # Limbs are only connected by a trunk.
             gap = max(reach, node[2])
             if (box[0] - gap <= node[1][1]).all() and (node[1][0] - gap <= box[1]).all():
                 found.add(node[0])
@@ -168,7 +168,7 @@ def _scope(model: mujoco.MjModel, body: int) -> str:
 
 
 def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
-    """Returns the root's name or, if this name is generic, the scope or the model's name."""
+    """Returns the name of the root body, or its scope or the model name if it is generic."""
     name = str(model.body(int(roots[0])).name).strip("/")
     model_name = model.names[: model.names.index(b"\0")].decode(errors="replace")
     model_name = "" if model_name == _UNNAMED else re.sub(r"[ _-]*scene$", "", model_name)
@@ -207,7 +207,7 @@ def _joint_names(model: mujoco.MjModel, joints: Ints) -> list[str]:
 
 
 def without_scope(names: list[str]) -> list[str]:
-    """Returns names without their common scope, such as `jaco/` of `jaco/hand/finger_1`."""
+    """Removes the common scope from names, such as `jaco/` from `jaco/hand/finger_1`."""
     split = [name.split("/") for name in names]
     common, limit = 0, min((len(parts) - 1 for parts in split), default=0)
     while common < limit and len({parts[common] for parts in split}) == 1:
@@ -227,7 +227,7 @@ def _serial_part(model: mujoco.MjModel, root: int, joints: Ints) -> tuple[Ints, 
     while len(below.get(body, [])) == 1:
         body = below[body][0]
         along.add(body)
-    if body not in below:  # end of the chain: the tool is the last body fixed to this body
+    if body not in below:  # The tool is the last body that is fixed to the end of the chain.
         fixed = [b for b in range(body + 1, model.nbody) if int(model.body_weldid[b]) == body]
         body = fixed[-1] if fixed else body
     chain = np.array([i for i, j in enumerate(joints) if int(model.jnt_bodyid[j]) in along])

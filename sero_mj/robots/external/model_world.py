@@ -1,7 +1,7 @@
 """`ModelWorld`: the `WorldView` of an external model.
 
-It derives from the model what a `World` derives from a scene. Input values are stored in the
-`ModelWorld` and not in the user's data.
+The robots, joints and frames of a `ModelWorld` are derived from the model instead of a scene. Input
+values are stored in the `ModelWorld` instead of the user's data.
 """
 
 from __future__ import annotations
@@ -33,20 +33,19 @@ from ._model_trees import find_trees
 log = logging.getLogger(__name__)
 
 
-_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # input: field
+_FROM_MODEL = {"torques": "qfrc_actuator", "joint_accelerations": "qacc"}  # data fields by input
 _MUJOCO_VIEW = (90.0, -45.0)  # MuJoCo's default azimuth and elevation
-# Maximum gap and size of objects next to robots that the view includes, relative to the robots'
-# size.
+# Maximum distance and size of objects that the view includes, relative to the size of the robots.
 _MAX_GAP, _MAX_SIZE = 1.0, 2.0
 _FLOORS = (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD))
 _EMPTY = np.empty(0, np.intp)
 
 
 class ModelScene(Scene):
-    """The scene of an external model."""
+    """The scene declaration that describes an external model."""
 
     def __init__(self, frames: Mapping[str, NamedFrame], **fields: Any) -> None:
-        self._frames = dict(frames)  # used by the constructor of the base class
+        self._frames = dict(frames)  # The constructor of the base class needs these frames.
         super().__init__(floor=False, **fields)
 
     def frame_name(self, name: str) -> str:
@@ -57,16 +56,18 @@ class ModelScene(Scene):
 
 
 class ModelWorld(WorldView):
-    """The world of an overlay.
+    """The world of an external model, on which an overlay draws arrows, axes and billboards.
 
     Args:
-        robots: mapping from robot names to fields that override values of the model.
+        data: data of the user, which is only read.
+        robots: fields that override values of the model, by robot name.
         frames: names of bodies and sites whose axes are shown in addition to those of robots.
         surroundings: whether a floor, a sky and lights are added if the model has none.
 
     Attributes:
         options: constructor arguments except `model` and `data`.
-        not_finite: number of NaN, infinite and implausible values that were set and not shown.
+        not_finite: number of input values that were not shown because they were NaN, infinite or
+            implausibly large.
 
     Raises:
         DeclarationError: the model has no hinge or slide, or a field does not fit the model.
@@ -208,7 +209,7 @@ class ModelWorld(WorldView):
     def state(self, data: Any) -> ModelState:
         if isinstance(data, ModelState):
             return data
-        for name, key in self._live:  # inputs that the user has not set
+        for name, key in self._live:  # These inputs have not been set by the user.
             slot = self.slots[f"{name}.{key}"]
             self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
             self._userdata[self.flags[f"{name}.{key}"]] = 1.0
@@ -233,7 +234,7 @@ class ModelWorld(WorldView):
         ]
 
     def geoms_in_view(self) -> Bools:
-        """Returns a mask (ngeom,) of the geoms of robots and of movable objects next to robots."""
+        """Returns a mask of the geoms of robots and nearby movable objects, shape (ngeom,)."""
         model = self.model
         bodies = np.concatenate([tree.bodies[tree.bodies > 0] for tree in self._trees])
         of_robots = np.isin(model.geom_bodyid, bodies)
@@ -278,16 +279,16 @@ class ModelWorld(WorldView):
         return self._surroundings
 
     def set_input(self, data: Any, target: str, values: Any) -> None:
-        """Sets an input, whose values then override those of the model.
+        """Sets an input to values that override those of the model.
 
         NaN, infinite values and values beyond `Input.limits` mean no data. They are not shown, do
         not move a double, and are counted in `not_finite`.
 
         Args:
-            target: `name.input`, such as `arm.torques`; see `inputs`.
-            values: values of shape (n,) or (3,), or one number, depending on the input. Joint
-                values can also be a vector (nv,) of the model, such as `data.qfrc_actuator`, or a
-                mapping from joint names to numbers.
+            target: name of the input, such as `arm.torques`.
+            values: values in the shape of the input, (n,), (3,) or one number. Joint values can
+                also be a vector of shape (nv,), such as `data.qfrc_actuator`, or a mapping from
+                joint names to numbers.
 
         Raises:
             UnknownName: the robot, input or joint does not exist.
@@ -296,7 +297,7 @@ class ModelWorld(WorldView):
         name, _, key = target.partition(".")
         if key == "joint_angles" and name in self.robots:
             raise ValueError(
-                f"{target}: the joint angles of {name} come from your data; set data.qpos"
+                f"{target}: the joint angles of {name} come from your data. Set data.qpos instead"
             )
         item = self.resolve_input(target)
         if isinstance(values, Mapping) and item.kind in ("angles", "values"):
@@ -325,7 +326,7 @@ class ModelWorld(WorldView):
         self.changes += 1
 
     def input_state(self) -> Array:
-        """Returns the state of all inputs, shape (k,), for `set_input_state` of an equal world."""
+        """Returns the values and flags of all inputs as an array for `set_input_state`."""
         live = [pair in self._live for pair in self._providable]
         return np.concatenate([self._userdata, live])
 
@@ -352,7 +353,7 @@ class ModelWorld(WorldView):
         return array
 
     def clear_input(self, target: str) -> None:
-        """Clears an input. If the model provides a value, that value is shown again."""
+        """Clears an input. If the model provides values, these are shown again."""
         item = self.resolve_input(target)
         self._userdata[self.flags[target]] = 0.0
         if item.name in self.robots and item.key in _FROM_MODEL:
@@ -361,7 +362,7 @@ class ModelWorld(WorldView):
 
 
 class _ByName(np.ndarray):
-    """Values set by joint name. NaN of joints that were not set are not counted in `not_finite`."""
+    """Values that were set by joint name. NaN of other joints is not counted in `not_finite`."""
 
 
 def _no_joints(model: mujoco.MjModel) -> str:

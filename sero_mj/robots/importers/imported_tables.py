@@ -1,4 +1,4 @@
-"""The result of importing a robot or a scene from a file of another format."""
+"""`ImportedTables`: the result of importing a robot or a scene from another file format."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from ...base.errors import DeclarationError
 
 
 class NoJoints(DeclarationError):
-    """The file has no movable joint. It describes an object of a scene and not a robot."""
+    """Raised if a file has no movable joint, so that it describes an object instead of a robot."""
 
 
 @dataclass(frozen=True)
 class ImportedTables:
-    """A robot or a scene as the tables of a TOML file.
+    """The tables of a TOML file that describe an imported robot or scene.
 
     Attributes:
-        lines: mapping from dotted keys of the tables to line numbers of the original file. For a
-            missing key, errors are reported at the line of the closest enclosing key. None for TOML
-            files, whose lines are searched for only if there is an error.
+        lines: line numbers in the original file by dotted key of the tables. If a key is missing,
+            the line of the closest enclosing key is reported. None for a TOML file, in which lines
+            are searched for only if there is an error.
         warnings: one sentence for each lost or reinterpreted element of the original file.
     """
 

@@ -1,6 +1,6 @@
-"""`Importer`: base class for reading robots or scenes of other file formats as tables.
+"""`Importer`: base class of readers that convert robots or scenes of other formats to tables.
 
-A package adds a format with an entry point in the group `sero_mj.importers`:
+A package adds a file format with an entry point in the group `sero_mj.importers`:
 
     [project.entry-points."sero_mj.importers"]
     sdf = "my_package:Sdf"
@@ -25,18 +25,18 @@ _ROBOT_KEYS = ("dh_params", "dh_params_deg", "joint_frames")
 
 
 class Importer(ABC):
-    """Reads one file format.
+    """Base class of importers, each of which reads one file format.
 
     Import dependencies inside `read`, because all importers are loaded to select the matching one.
 
     Attributes:
-        endings: lowercase file extensions, including the dots.
-        is_scene: whether the files describe scenes instead of robots.
-        object_key: key of scene objects that accepts a file of this format without joints, such as
-            `urdf`; empty if there is no such key.
-        takes_arguments: whether files can have arguments, as in xacro.
-        order: priority among importers that accept a file, lowest first. Built-in importers use 10
-            to 90.
+        endings: file extensions of the format, in lowercase and including the dots.
+        is_scene: whether files of this format describe scenes instead of robots.
+        object_key: key of scene objects for files of this format without joints, such as `urdf`;
+            empty if there is no such key.
+        takes_arguments: whether files of this format can have arguments, as in xacro.
+        order: priority among importers that accept a file; the lowest comes first. Built-in
+            importers use 10 to 90.
     """
 
     endings: ClassVar[tuple[str, ...]]
@@ -47,9 +47,9 @@ class Importer(ABC):
 
     @classmethod
     def takes(cls, path: Path, head: bytes) -> bool:
-        """Returns whether the importer accepts a file with one of its extensions.
+        """Returns whether the importer accepts a file that has one of its extensions.
 
-        `head` contains the first 100 kB of the file. It is empty if the file is unreadable.
+        `head` contains the first 100 kB of the file, and is empty if the file is unreadable.
         """
         return True
 
@@ -60,11 +60,11 @@ class Importer(ABC):
         packages: Mapping[str, Path | str] | None = None,
         arguments: Mapping[str, Any] | None = None,
     ) -> ImportedTables:
-        """Reads a file. File names in the tables are relative to the folder of this file.
+        """Reads a file as tables, in which file names are relative to the folder of the file.
 
         Args:
-            packages: mapping from names of ROS packages to folders.
-            arguments: mapping from names of the file's arguments, as in xacro, to values.
+            packages: folders of ROS packages, by package name.
+            arguments: values of the file's arguments by name, as in xacro.
 
         Raises:
             DeclarationError: the file cannot be read.
@@ -72,7 +72,7 @@ class Importer(ABC):
 
 
 class Urdf(Importer):
-    """Robots of ROS in URDF or xacro."""
+    """Importer of ROS robots in URDF or xacro."""
 
     endings: ClassVar[tuple[str, ...]] = (".urdf", ".xacro", ".xml")
     object_key: ClassVar[str] = "urdf"
@@ -96,7 +96,7 @@ class Urdf(Importer):
 
 
 class Mjcf(Importer):
-    """Robots of MuJoCo in MJCF."""
+    """Importer of MuJoCo robots in MJCF."""
 
     endings: ClassVar[tuple[str, ...]] = (".xml",)
     takes_arguments: ClassVar[bool] = False
@@ -116,15 +116,16 @@ class Mjcf(Importer):
 
 @cache
 def importers() -> dict[str, Importer]:
-    """Returns a mapping from names to all installed importers, sorted by `order`."""
+    """Returns all installed importers by name, sorted by `order`."""
     kinds = load_all(IMPORTERS, Importer)
     return {name: kinds[name]() for name in sorted(kinds, key=lambda name: kinds[name].order)}
 
 
 def find_importer(path: Path) -> Importer | None:
-    """Returns the importer for a file's extension and contents, or None for unknown extensions.
+    """Returns the importer for the extension and contents of a file.
 
-    Raises DeclarationError if the contents do not match the extension.
+    Returns None if no importer has this extension. Raises DeclarationError if the contents do not
+    match the extension.
     """
     named = {
         name: each for name, each in importers().items() if path.suffix.lower() in each.endings
@@ -145,7 +146,7 @@ def read_imported(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables | None:
-    """Reads a file with the matching importer. Returns None if no importer has its extension."""
+    """Reads a file with the matching importer, or returns None if no importer has the extension."""
     importer = find_importer(path)
     if importer is None:
         return None
@@ -165,7 +166,7 @@ def read_imported(
 
 
 def is_robot_file(path: Path) -> bool:
-    """Returns whether a file describes a robot, judged by its name, extension and keys."""
+    """Returns whether a file describes a robot, according to its name, extension and keys."""
     if path.name == ROBOT_FILE or path.suffix in robot_endings():
         return True
     if path.suffix != ".toml":
@@ -173,7 +174,7 @@ def is_robot_file(path: Path) -> bool:
     try:
         keys = read_toml(path).keys()
     except DeclarationError:
-        return False  # the error is reported when the file is read as a scene
+        return False  # The error is reported when the file is read as a scene.
     return not keys.isdisjoint(_ROBOT_KEYS) and "robots" not in keys
 
 
@@ -182,9 +183,9 @@ def read_robot_file(
     packages: Mapping[str, Path | str] | None = None,
     arguments: Mapping[str, Any] | None = None,
 ) -> ImportedTables:
-    """Returns the tables of a robot file in TOML or in any format with an importer.
+    """Reads a robot file in TOML or in any format that has an importer.
 
-    File names in the tables are relative to the file's folder.
+    File names in the tables are relative to the folder of the file.
     """
     imported = read_imported(path, packages, arguments)
     return ImportedTables(read_toml(path), None) if imported is None else imported

@@ -1,7 +1,7 @@
-"""Converts and checks names of joints, which can contain any printable characters.
+"""Checks and converts names of joints, which can contain any printable characters.
 
-Joints have the names in the robot's file. In compiled models, a joint is called `ROBOT/JOINT`,
-which is split at the first slash. Routes use identifiers instead: `left_j1` stands for `left/j1`.
+Joints keep their names from the robot file. In a compiled model, the joint is named `ROBOT/JOINT`,
+and the first slash separates the names. Routes use identifiers, such as `left_j1` for `left/j1`.
 """
 
 from __future__ import annotations
@@ -12,13 +12,13 @@ from collections.abc import Iterable, Sequence
 from ...base.errors import mismatch
 
 BASE = "base"  # entry of `parents` for joints without a parent joint
-MAX_LENGTH = 200  # characters
+MAX_LENGTH = 200  # maximum length of a joint name, characters
 
 
 def is_joint_name(name: str) -> str:
-    """Returns a valid joint name unchanged, such as `1`, `left/j1`, `a.b` or `hüfte`.
+    """Returns a joint name unchanged if it is valid, for example `1`, `left/j1`, `a.b` or `hüfte`.
 
-    Raises ValueError for names that are empty, too long, or not printable.
+    Raises DeclarationError if the name is empty, too long, or not printable.
     """
     if not name.strip() or not name.isprintable() or len(name) > MAX_LENGTH:
         expected = f"1 to {MAX_LENGTH} printable characters"
@@ -27,7 +27,7 @@ def is_joint_name(name: str) -> str:
 
 
 def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
-    """Returns joint names, made valid and unique, and a description of each change."""
+    """Makes joint names valid and unique. Returns the names and a description of each change."""
     found: list[str] = []
     changed = []
     for name in names:
@@ -44,25 +44,26 @@ def joint_names_of(names: Iterable[str]) -> tuple[list[str], list[str]]:
 
 
 def identifier(name: str) -> str:
-    """Returns the name of a joint in routes, such as `left_j1` for `left/j1`."""
+    """Returns the identifier of a joint for routes, such as `left_j1` for `left/j1`."""
     plain = re.sub(r"[^A-Za-z0-9_-]+", "_", name)
     return plain if re.match(r"[A-Za-z_]", plain) else f"_{plain}"
 
 
 def identifiers(names: Sequence[str]) -> dict[str, int]:
-    """Returns a mapping from identifiers to joint indices.
+    """Returns the indices of joints by their identifiers for routes.
 
-    It does not contain identifiers that are ambiguous or are names of joints.
+    Identifiers that are ambiguous or that are also names of joints are omitted.
     """
     found = [identifier(name) for name in names]
     return {each: k for k, each in enumerate(found) if found.count(each) == 1 and each not in names}
 
 
 def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
-    """Returns the entries of `parents` in a robot file.
+    """Returns the field `parents` of a robot file.
 
-    `links` contains the parent link of each joint: 0 for the base, and i for the link of joint i. A
-    joint with the name `base` is referred to by its link, such as `link2`.
+    Args:
+        links: index of the parent link of each joint, 0 for the base and i for the link of joint i.
+        names: joint names. A joint named `base` is replaced by its link, such as `link2`.
     """
     return [
         BASE if not link else f"link{link}" if names[link - 1] == BASE else names[link - 1]
@@ -71,7 +72,7 @@ def parents_of(links: Iterable[int], names: Sequence[str]) -> list[str]:
 
 
 def link_of_parent(parent: str, names: Sequence[str]) -> int | None:
-    """Returns the link of an entry of `parents`, see `parents_of`, or None if it is unknown."""
+    """Returns the link index for an entry of `parents`, or None if the entry is unknown."""
     if parent == BASE:
         return 0
     if parent in names:

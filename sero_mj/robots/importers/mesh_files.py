@@ -1,9 +1,9 @@
-"""Reads mesh files as pieces of one color each, in formats that MuJoCo reads.
+"""Reads mesh files, splits them by color, and converts the pieces to formats that MuJoCo reads.
 
-STL and OBJ files are not converted if MuJoCo accepts them. COLLADA is read by pycollada, formats of
-extensions by their own readers, and all other formats by trimesh. OBJ files are checked here,
-because trimesh takes 0.3 s to import, needs four times as long to read them, and assigns no
-material to faces before the first `usemtl`.
+STL and OBJ files are not converted if MuJoCo accepts them. pycollada reads COLLADA, extensions read
+their own formats, and trimesh reads all other formats. This module checks OBJ files itself, because
+trimesh takes 0.3 s to import, is four times slower, and assigns no material to faces before the
+first `usemtl`.
 
 The up axis of a file is ignored, because RViz and Gazebo ignore it and most exporters do not write
 the true axis. A textured material gets the mean color of its image.
@@ -41,9 +41,8 @@ from ...base.plugins import MESHES, load_plugin, plugins
 _BY_MUJOCO = (".stl", ".obj", ".msh")  # extensions of formats that MuJoCo reads
 _CONVERTED = (".dae", ".ply", ".off", ".glb", ".gltf", ".3mf")
 MAX_MESH_BYTES = 500_000_000  # maximum size of a file that MuJoCo reads (ten million triangles)
-MAX_CONVERTED_BYTES = (
-    100_000_000  # maximum for other files; conversion takes up to 30 times the memory
-)
+# Maximum size of other files, because conversion takes up to 30 times this amount of memory.
+MAX_CONVERTED_BYTES = 100_000_000
 _MAX_STL_FACES = 200_000  # MuJoCo's limit for STL files
 _MAX_IMAGE_BYTES = 50_000_000  # maximum size of a texture file
 _MAX_CACHE_BYTES = 150_000_000  # maximum size of cached meshes, including vertices
@@ -62,15 +61,15 @@ def mesh_endings() -> tuple[str, ...]:
     """Returns the extensions of all supported mesh files, including the dots.
 
     A package adds a format with an entry point in the group `sero_mj.meshes`, whose name is the
-    extension without the dot. It refers to a function that reads a path and returns, for every
-    color, vertices (v, 3), triangles (f, 3), and RGBA (4,) or None.
+    extension without the dot. It refers to a function that reads a path and returns a list with one
+    tuple per color: vertices (v, 3), triangles (f, 3), and RGBA (4,) or None.
     """
     return (*_BY_MUJOCO, *_CONVERTED, *(f".{name}" for name in plugins(MESHES)))
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPiece:
-    """Triangles of one color, as the contents of a file that MuJoCo reads."""
+    """The triangles of a mesh that have the same color, as the contents of a file for MuJoCo."""
 
     contents: bytes
     ending: str
@@ -78,7 +77,7 @@ class MeshPiece:
 
     @cached_property
     def points(self) -> Array:
-        """Vertices in the unit of the file, shape (k, 3); they may be repeated."""
+        """Vertices in the unit of the file, shape (k, 3), with possible repetitions."""
         if self.ending == ".stl":
             corners = np.frombuffer(self.contents, _FACET, offset=84)["corners"]
             return np.asarray(corners.reshape(-1, 3), np.float64)
@@ -102,7 +101,7 @@ class MeshPiece:
 
 def _points_of_obj(contents: bytes) -> Array:
     lines = re.findall(rb"\nv[ \t]([^\n]*)", contents)
-    # This is fast if all vertices have 3 numbers, or 6 with a color. Other text ends parsing.
+    # Parsing is fast if all vertices have 3 numbers, or 6 with a color. It stops at other text.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)
         values = np.fromstring(b" ".join(lines), sep=" ")
@@ -119,9 +118,9 @@ _lock = threading.Lock()
 
 
 def read_mesh(path: Path) -> tuple[MeshPiece, ...]:
-    """Reads a mesh file, and caches the result until the file changes.
+    """Reads a mesh file as pieces of one color each, and caches them until the file changes.
 
-    Lengths are converted to m if the file declares a unit. Otherwise they are not converted.
+    Lengths are converted to m only if the file declares a unit.
 
     Raises:
         DeclarationError: the file is missing or too large, has an unknown format, or contains no
@@ -183,7 +182,7 @@ def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...]
             found = max(len(contents) - 84, 0) // 50
             raise _wrong(path, f"is truncated: found {found} of {count} triangles")
         if len(contents) != 84 + 50 * count or not 1 <= count <= _MAX_STL_FACES:
-            return None  # ASCII, or too many faces
+            return None  # The file is ASCII text or has too many faces.
     _check(path, piece.points)
     return (piece,)
 
@@ -194,7 +193,7 @@ def _is_binary(contents: bytes) -> bool:
 
 
 def _obj_as_it_is(path: Path, contents: bytes) -> tuple[MeshPiece, ...] | None:
-    contents = b"\n" + without_bom(contents)  # so that each line follows a line break
+    contents = b"\n" + without_bom(contents)  # The patterns start with a line break.
     colors = _material_colors(path, contents)
     used = list(dict.fromkeys(map(_plain_name, _statements(contents, b"usemtl"))))
     if len({colors.get(name) for name in used}) > 1:
@@ -222,7 +221,7 @@ def _plain_name(name: bytes) -> bytes:
 
 
 def without_bom(text: bytes) -> bytes:
-    """Returns text as UTF-8 without a byte order mark, converted from UTF-16 if necessary."""
+    """Converts text from UTF-16 to UTF-8 if necessary, and removes the byte order mark."""
     if text.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return text.decode("utf-16", "replace").encode()
     return text.removeprefix(codecs.BOM_UTF8)
@@ -254,9 +253,7 @@ def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
 def _integers(text: bytes) -> Ints | None:
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter(
-                "error", DeprecationWarning
-            )  # raised for text that is not a number
+            warnings.simplefilter("error", DeprecationWarning)  # issued for text without a number
             numbers = np.fromstring(text, np.int64, sep=" ")
     except (DeprecationWarning, ValueError):
         return None
@@ -308,7 +305,7 @@ def _material_files(path: Path, contents: bytes) -> list[Path]:
     folder, files = path.parent, list[Path]()
     for line in _statements(contents, b"mtllib"):
         whole = line.decode("utf-8", "replace").replace("\\", "/")
-        for names in ([whole], whole.split()):  # spaces separate names, or are part of a name
+        for names in ([whole], whole.split()):  # Spaces separate names or are part of a name.
             found = [each for name in names if (each := _existing(folder / name)) is not None]
             if found:
                 files += found
@@ -335,7 +332,7 @@ def _opacity_of_obj(material: dict[bytes, bytes]) -> float:
 
 
 def _visible(path: Path, name: bytes | str, color: Rgba, alpha: float) -> Rgba:
-    if not alpha > _INVISIBLE:  # NaN as well
+    if not alpha > _INVISIBLE:  # This includes NaN.
         name = name if isinstance(name, str) else name.decode("utf-8", "replace")
         log.warning("mesh %s: material '%s' would be invisible, so it is drawn opaque", path, name)
         return color
@@ -356,7 +353,7 @@ def _rgba(values: Any, alpha: float = 1.0) -> Rgba | None:
 
 
 def _mean_color(image: Any) -> Rgba | None:
-    """Returns the mean color of the opaque pixels of a file or Pillow image, and mean opacity."""
+    """Returns the mean color of the opaque pixels of an image, with the mean opacity of all."""
     from PIL import Image
 
     try:
@@ -374,7 +371,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
     read = _extension_parts if of_extension else _READERS.get(ending, _trimesh_parts)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # warnings of libraries about their dependencies
+            warnings.simplefilter("ignore")  # Libraries warn about their dependencies.
             parts = read(path, ending, contents)
     except DeclarationError:
         raise
@@ -382,7 +379,7 @@ def _converted(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...
         raise _wrong(path, f"reading {ending} requires the package '{error.name}'") from error
     except RecursionError:
         raise _wrong(path, "is nested too deeply") from None
-    except Exception as error:  # libraries raise any exception for invalid files
+    except Exception as error:  # Libraries raise any exception for invalid files.
         reason = " ".join(str(error).split())[:200] or type(error).__name__
         raise _wrong(path, f"cannot be read: {reason}") from error
     by_color: dict[Rgba | None, list[_Part]] = {}
@@ -422,10 +419,7 @@ def _joined(parts: list[_Part]) -> _Part:
 
 
 def _as_msh(part: _Part) -> bytes:
-    """Returns a mesh in MuJoCo's binary format.
-
-    It consists of four counts, vertices, normals, texture coordinates and faces.
-    """
+    # MuJoCo's binary format: four counts, vertices, normals, texture coordinates and faces.
     used, faces = np.unique(part.faces, return_inverse=True)
     normals = None if part.normals is None else part.normals[used]
     counts = struct.pack("<4i", len(used), 0 if normals is None else len(used), 0, len(part.faces))
@@ -466,7 +460,7 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     parts = []
     for bound in document.scene.objects("geometry"):
         for primitive in bound.original.primitives:
-            # Lists of polygons have `triangleset`; lines do not.
+            # Polygons have `triangleset`, and lines do not.
             has_polygons = hasattr(primitive, "triangleset")
             triangles = primitive.triangleset() if has_polygons else primitive
             corners = np.asarray(getattr(triangles, "vertex_index", None))
@@ -479,7 +473,7 @@ def _collada_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
 
 
 def _without_broken_materials(contents: bytes, known: set[str]) -> bytes:
-    """Removes unreadable materials, with which pycollada would also leave out the geometry."""
+    """Removes references to unknown materials, because pycollada would omit their geometry, too."""
     from lxml import etree
 
     from .xml_file import parse_xml
@@ -506,7 +500,7 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
     diffuse = getattr(getattr(material, "effect", None), "diffuse", None)
     if diffuse is None:
         return None
-    if hasattr(diffuse, "sampler"):  # an image
+    if hasattr(diffuse, "sampler"):  # The material has an image.
         file = getattr(diffuse.sampler.surface.image, "path", "") or ""
         color = _mean_color(path.parent / file.removeprefix("file://"))
         return None if color is None else (*color[:3], 1.0)
@@ -521,7 +515,7 @@ def _collada_color(path: Path, material: Any) -> Rgba | None:
 
 
 def _collada_opacity(effect: Any) -> float:
-    """Returns the opacity of an effect as in COLLADA 1.5, section Determining Transparency."""
+    """Returns the opacity of an effect, as defined in COLLADA 1.5, "Determining Transparency"."""
     nodes = {key: effect.xmlnode.find(f".//{{*}}{key}") for key in ("transparent", "transparency")}
     if all(node is None for node in nodes.values()) or hasattr(effect.transparent, "sampler"):
         return 1.0
@@ -531,7 +525,7 @@ def _collada_opacity(effect: Any) -> float:
     factor = 1.0 if nodes["transparency"] is None else float(effect.transparency)
     node = nodes["transparent"]
     mode = "A_ONE" if node is None else node.get("opaque", "A_ONE")
-    # Weights of CIE 1931 luminance, as in the specification.
+    # The specification defines these weights of CIE 1931 luminance.
     value = color[3] if mode.startswith("A") else color[:3] @ [0.212671, 0.715160, 0.072169]
     opacity = factor * value
     return float(1.0 - opacity if mode.endswith("ZERO") else opacity)
@@ -566,7 +560,7 @@ def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
         mesh = scene.geometry[name]
         faces = getattr(mesh, "faces", None)
         if faces is None or not len(faces):
-            continue  # lines or points
+            continue  # The geometry consists of lines or points.
         has_normals = ending in (".obj", ".glb", ".gltf") and "vertex_normals" in mesh._cache
         normals = np.asarray(mesh.vertex_normals, np.float64) if has_normals else None
         vertices = np.asarray(mesh.vertices, np.float64)
@@ -576,13 +570,13 @@ def _trimesh_parts(path: Path, ending: str, contents: bytes) -> list[_Part]:
     return parts
 
 
-_MATERIALS = "materials"  # replaces the name of a material file
+_MATERIALS = "materials"  # name of the virtual material file
 
 
 def _numbered_materials(path: Path, contents: bytes) -> tuple[bytes, dict[str, Rgba]]:
-    """Returns an OBJ file with numbered materials, and the known colors by number.
+    """Replaces the materials of an OBJ file by numbers. Returns the file and the colors by number.
 
-    trimesh does not find all material files and names, so it only has to distinguish numbers.
+    trimesh does not find all material files and names, but it can distinguish numbers.
     """
     contents = b"\n" + without_bom(contents)
     known = _material_colors(path, contents)

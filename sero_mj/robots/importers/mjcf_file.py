@@ -1,4 +1,4 @@
-"""Reads MJCF as a `mujoco.MjSpec`, together with the files it refers to, and writes it."""
+"""Reads MJCF and the files it refers to as a `mujoco.MjSpec`, and writes an `MjSpec` as MJCF."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ...base.paths import format_of_file, read_file
 
 _LIBRARY_NAMES = ("libmujoco.so*", "libmujoco*.dylib", "mujoco.dll")  # Linux, macOS, Windows
 _MAX_BYTES = 100_000_000  # maximum size of an MJCF file
-_MAX_ELEMENTS = 20_000  # MuJoCo takes quadratic time: 8 s for 40,000 geoms
+_MAX_ELEMENTS = 20_000  # MuJoCo needs quadratic time, for example 8 s for 40,000 geoms
 _ELEMENT = re.compile(rb"<(?:geom|body|site)\b")
 _REPEATED = re.compile(rb"""<replicate\b[^>]*?\bcount\s*=\s*["']\s*(\d+)""")
 _INCLUDED = re.compile(rb"""<include\b[^>]*?\bfile\s*=\s*["']([^"']+)""")
@@ -25,10 +25,12 @@ MAX_ASSET_BYTES = 500_000_000  # maximum size of a texture or mesh (ten million 
 
 
 def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
-    """Reads MJCF, and stores the files that it refers to in the spec.
+    """Reads MJCF as a spec, and stores the files to which it refers in the spec.
 
-    The source is a file name, MJCF text that starts with `<`, or an object that `is_mjcf_object`
-    accepts. The object is not changed.
+    Args:
+        source: file name, MJCF text that starts with `<`, or an object that `is_mjcf_object`
+            accepts. The object is not changed.
+        folder: folder to which file names are relative.
     """
     try:
         spec = _read(source, folder)
@@ -41,12 +43,12 @@ def as_spec(source: Any, folder: Path) -> mujoco.MjSpec:
         raise Problem("mjcf", f"cannot be read: {reason}").error() from error
     for k, body in enumerate(spec.bodies[1:]):
         if not body.name:
-            body.name = f"body{k + 1}"  # contact exclusion requires body names
+            body.name = f"body{k + 1}"  # Contact exclusion requires body names.
     return spec
 
 
 def is_mjcf_object(source: Any) -> bool:
-    """Returns whether an object is an `MjSpec`, a PyMJCF `RootElement` or a composer entity."""
+    """Returns whether an object is an `MjSpec`, a PyMJCF element, or a dm_control entity."""
     root = _root_element(source)
     return isinstance(source, mujoco.MjSpec) or (
         hasattr(root, "to_xml_string") and hasattr(root, "get_assets")
@@ -54,7 +56,7 @@ def is_mjcf_object(source: Any) -> bool:
 
 
 def is_file_name(source: Any) -> bool:
-    """Returns whether an MJCF source is a file name, and not text or an object."""
+    """Returns whether an MJCF source is a file name instead of MJCF text or an object."""
     return isinstance(source, str) and not source.lstrip().startswith("<")
 
 
@@ -80,7 +82,7 @@ def _read(source: Any, folder: Path) -> mujoco.MjSpec:
 
 
 def _read_included(text: bytes, folder: Path) -> dict[str, bytes]:
-    """Returns a mapping from file names to included files. Raises ValueError for large models."""
+    """Returns the contents of included files by name. Raises ValueError for too many elements."""
     found: dict[str, bytes] = {}
     waiting, count = [text], 0
     while waiting:
@@ -122,7 +124,7 @@ def _stored(spec: mujoco.MjSpec, folder: str, file: str) -> str:
 def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | None = None) -> str:
     """Stores a file in the assets of a spec, and returns the name of the asset.
 
-    The name is unique across folders, so that specs can be attached to each other.
+    The name contains a hash of the contents, so that specs with assets can be attached to others.
     """
     digest = digest or sha256(contents).hexdigest()
     file = f"{path.stem}-{digest[:16]}{path.suffix.lower()}"
@@ -131,9 +133,9 @@ def add_file(spec: mujoco.MjSpec, path: Path, contents: bytes, digest: str | Non
 
 
 def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]:
-    """Writes a compiled spec as MJCF, and returns the written files, the XML file first.
+    """Writes a compiled spec as MJCF, and its assets to the folder `NAME_assets` next to it.
 
-    Assets are written to the folder `NAME_assets` next to the XML file.
+    Returns the paths of the written files, the XML file first.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     written, folder = [path], path.parent / f"{path.stem}_assets"
@@ -142,7 +144,7 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
     for name, contents in spec.assets.items():
         file = folder / name.rpartition("/")[2]
         if f'file="{name}"' not in text:
-            continue  # unused
+            continue  # The model does not use this asset.
         folder.mkdir(exist_ok=True)
         file.write_bytes(contents)
         written.append(file)
@@ -155,8 +157,7 @@ def write_mjcf(spec: mujoco.MjSpec, path: Path, comment: str = "") -> list[Path]
 def _full_precision() -> Iterator[None]:
     """Makes MuJoCo write numbers with 17 digits instead of six within the context.
 
-    MuJoCo 4.0.0 has no public function for this. If the private one is missing, six digits are
-    written.
+    MuJoCo 4.0.0 has only a private function for this. If it is missing, six digits are written.
     """
     folder = Path(mujoco.__file__).parent
     files = (file for name in _LIBRARY_NAMES for file in folder.glob(name))

@@ -27,12 +27,12 @@ _STATELESS = int(mujoco.mjtDyn.mjDYN_NONE)
 _FILTERS = (int(mujoco.mjtDyn.mjDYN_FILTER), int(mujoco.mjtDyn.mjDYN_FILTEREXACT))
 _UNCLAMPED = int(mujoco.mjtDisableBit.mjDSBL_CLAMPCTRL)
 _POSES = 64  # number of poses in which pose-dependent moment arms are evaluated
-_WIDE = np.pi  # rad or m; range of these poses around `qpos0` for joints without limits
+_WIDE = np.pi  # range of these poses around `qpos0` for joints without limits, rad or m
 
 
 @dataclass(frozen=True, eq=False)
 class MjcfTree:
-    """A robot in a compiled model, in its reference pose (`qpos0`).
+    """The robot in a compiled MuJoCo model, in the reference pose (`qpos0`).
 
     Every hinge and slide becomes a joint of the robot with its own link. A body with several joints
     belongs to the link of its last joint, and the links of its other joints are empty. The base
@@ -40,15 +40,15 @@ class MjcfTree:
     model has actuators, only the trees that they drive belong to the robot.
 
     Attributes:
-        joints: ids of the robot's hinges and slides, shape (n,), depth first.
-        parents: index of each joint's parent link, shape (n,); 0 is the base.
-        links: index of each body's link, shape (nbody,); 0 is the base, -1 a body outside the
-            robot.
-        bodies: T_world_body of every body in the reference pose, shape (nbody, 4, 4).
-        poses: T_world_link of base and links in the reference pose, shape (n + 1, 4, 4). The z axis
-            of a link is the axis of its joint.
-        free: ids of the joints of a free base: one free joint, or two slides and a hinge for a
-            planar base. Empty for a fixed base.
+        joints: ids of the robot's hinges and slides in depth-first order, shape (n,).
+        parents: index of each joint's parent link, shape (n,), 0 for the base.
+        links: index of each body's link, shape (nbody,), 0 for the base and -1 for bodies that do
+            not belong to the robot.
+        bodies: poses T_world_body of all bodies in the reference pose, shape (nbody, 4, 4), m.
+        poses: poses T_world_link of the base and the links in the reference pose, shape
+            (n + 1, 4, 4), m. The z axis of a link is the axis of its joint.
+        free: ids of the joints of a moving base, which are one free joint, or two slides and a
+            hinge for a planar base. Empty for a fixed base.
         left_out: one sentence for each kind of element that is not part of the robot.
     """
 
@@ -67,7 +67,7 @@ class MjcfTree:
 
     @property
     def geoms(self) -> Ints:
-        """Ids of the robot's geoms, except planes of the world."""
+        """Ids of the robot's geoms. Planes of the world body are excluded."""
         model = self.model
         mine = self.links[model.geom_bodyid] >= 0
         mine &= ~((model.geom_bodyid == 0) & (model.geom_type == _PLANE))
@@ -75,7 +75,7 @@ class MjcfTree:
 
 
 def find_tree(model: mujoco.MjModel) -> MjcfTree:
-    """Returns the robot of a model. Raises NoJoints if the model has no hinge or slide."""
+    """Finds the robot in a compiled model. Raises NoJoints if the model has no hinge or slide."""
     kinds = model.jnt_type
     is_axis = (kinds == _HINGE) | (kinds == _SLIDE)
     roots = model.body_rootid[model.jnt_bodyid]
@@ -102,9 +102,9 @@ def find_tree(model: mujoco.MjModel) -> MjcfTree:
 
 
 def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_body: int) -> Array:
-    """Returns T_world_link of the base body and of each joint's link, shape (n + 1, 4, 4).
+    """Returns the poses T_world_link of the base body and of the joints' links.
 
-    The z axis of a link is the axis of its joint.
+    The poses have the shape (n + 1, 4, 4), in m. The z axis of a link is the axis of its joint.
     """
     rotations = data.xmat.reshape(-1, 3, 3)
     poses = [frame(rotations[base_body], data.xpos[base_body])]
@@ -115,9 +115,9 @@ def link_poses(model: mujoco.MjModel, data: mujoco.MjData, joints: Ints, base_bo
 
 
 def frames_at_zero(model: mujoco.MjModel, joints: Ints, parents: Ints, poses: Array) -> Array:
-    """Returns `SerialRobot.joint_frames`, shape (n, 4, 4), from the `link_poses` at `qpos0`."""
+    """Returns the `joint_frames` of a `SerialRobot`, shape (n, 4, 4), from poses at `qpos0`."""
     fixed: Array = inverse(poses[parents]) @ poses[1:]
-    back = np.tile(np.eye(4), (len(joints), 1, 1))  # joint values of MuJoCo start at `ref`
+    back = np.tile(np.eye(4), (len(joints), 1, 1))  # In MuJoCo, the joint value is `ref` at qpos0.
     ref = model.qpos0[model.jnt_qposadr[joints]]
     turns = model.jnt_type[joints] == _HINGE
     back[:, :3, :3] = rotation_about(2, np.where(turns, -ref, 0.0))
@@ -139,10 +139,10 @@ def _chosen_roots(model: mujoco.MjModel, roots: Ints, is_axis: Array) -> tuple[s
 
 
 def _planar_base(model: mujoco.MjModel, mine: Array) -> list[int]:
-    """Returns the two slides and the hinge of a passive planar base, or an empty list.
+    """Returns the ids of the two slides and the hinge of a passive planar base, or an empty list.
 
-    These are joints of the root body. Joints that are driven, limited, sprung or not perpendicular
-    belong to the robot instead.
+    The joints must be those of the root body, and be perpendicular. They must not have actuators,
+    limits or springs.
     """
     roots = np.unique(model.body_rootid[model.jnt_bodyid[mine]])
     if len(roots) != 1 or model.body_jntnum[roots[0]] != 3:
@@ -163,7 +163,7 @@ def _planar_base(model: mujoco.MjModel, mine: Array) -> list[int]:
 
 
 def driven_roots(model: mujoco.MjModel) -> set[int]:
-    """Returns the root bodies of the trees that actuators drive."""
+    """Returns the ids of the root bodies of all trees that actuators drive."""
     bodies: list[int] = []
     for kind, (item, _) in zip(model.actuator_trntype, model.actuator_trnid, strict=True):
         if kind in ON_JOINT:
@@ -183,7 +183,7 @@ def driven_roots(model: mujoco.MjModel) -> set[int]:
 def read_links(
     model: mujoco.MjModel, joints: Ints, base_body: int = 0, left_out: Collection[int] = ()
 ) -> tuple[Ints, Ints, Ints]:
-    """Returns the link of every body, the parent link of every joint, and the ids of these joints.
+    """Returns the link index of each body, the parent link of each joint, and the joint ids.
 
     Bodies in `left_out` and their descendants have link -1, and their joints are omitted.
     """
@@ -207,7 +207,7 @@ def read_links(
 
 
 def _outside(model: mujoco.MjModel, chosen: set[int]) -> set[int]:
-    """Returns mocap bodies, bodies with a free joint, and jointed bodies of other trees."""
+    """Returns the ids of mocap bodies, free bodies, and bodies with joints in other trees."""
     free = set(model.jnt_bodyid[model.jnt_type == _FREE].tolist())
     jointed = np.flatnonzero(model.body_jntnum).tolist()
     others = {body for body in jointed if int(model.body_rootid[body]) not in chosen}
@@ -230,7 +230,7 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
     if len(others):
         what = names(mujoco.mjtObj.mjOBJ_BODY, others)
         sentences.append(f"bodies that no actuator of the robot moves are left out: {what}")
-    fixed = (model.geom_bodyid == 0) & (model.geom_type != _PLANE)  # a scene has its own floor
+    fixed = (model.geom_bodyid == 0) & (model.geom_type != _PLANE)  # A scene has its own floor.
     spatial = model.wrap_type[model.tendon_adr] != _WRAPS_JOINT
     for what, kind, ids in (
         ("geoms of the world", mujoco.mjtObj.mjOBJ_GEOM, np.flatnonzero(fixed)),
@@ -245,9 +245,8 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
         sentences.append(f"springs of joints are left out: {what}")
     for count, what in ((model.nskin, "skin"), (model.nflex, "flex")):
         if count:
-            sentences.append(
-                f"the {what} is left out" if count == 1 else f"{count} {what}s left out"
-            )
+            found = f"the {what} is" if count == 1 else f"{count} {what}s are"
+            sentences.append(f"{found} left out")
     gravity = float(np.linalg.norm(model.opt.gravity))
     if gravity and abs(gravity / _GRAVITY - 1.0) > 0.1:
         text = f"gravity is {gravity:g} instead of {_GRAVITY:g} m/s2, so the units may not be SI"
@@ -261,7 +260,7 @@ def _left_out(model: mujoco.MjModel, mine: Array, links: Ints) -> list[str]:
 
 
 def torque_limits(model: mujoco.MjModel, joints: Ints) -> Array:
-    """Returns the maximum torques of actuators on joints with these ids, shape (n,), Nm or N.
+    """Returns the maximum torques that actuators can apply to joints, shape (n,), Nm or N.
 
     The limit is infinite for joints without actuators, and for actuators without `forcerange` whose
     force depends on position or velocity, such as position servos. If moment arms depend on the
@@ -312,7 +311,7 @@ def _forces(model: mujoco.MjModel) -> Array:
 
 
 def _unclamped_force(model: mujoco.MjModel, actuator: int) -> Array:
-    """Returns the range of gain * input + bias, shape (2,); infinite if it depends on the state."""
+    """Returns the range of an actuator's force before clamping, shape (2,), possibly infinite."""
     unknown = np.array([-np.inf, np.inf])
     bias = int(model.actuator_biastype[actuator])
     offset, *slopes = model.actuator_biasprm[actuator, :3] if bias == _AFFINE_BIAS else (0.0,)
@@ -332,7 +331,7 @@ def _unclamped_force(model: mujoco.MjModel, actuator: int) -> Array:
 
 
 def _moments(model: mujoco.MjModel) -> Iterator[Array]:
-    """Yields the moment arms of all actuator outputs, shape (nout, nv), in one or 64 poses."""
+    """Yields the moment arms of all actuator outputs in one or 64 poses, shape (nout, nv)."""
     data = mujoco.MjData(model)
     random = np.random.default_rng(0)
     axes = np.flatnonzero(np.isin(model.jnt_type, (_HINGE, _SLIDE)))

@@ -1,7 +1,7 @@
 """Reads the robot of an MJCF file as the tables of a robot file.
 
-The geoms remain in the MJCF file, which the robot's `mjcf` names. `robots.assemble.mjcf_links`
-reads them with their meshes, materials and collision parameters.
+The geoms remain in the MJCF file, to which the robot's field `mjcf` refers. The module
+`robots.assemble.mjcf_links` reads them with their meshes, materials and collision parameters.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from .robot_tree import (
     six_of,
 )
 
-_INITIAL_KEYS = ("home", "stand", "init", "default")  # keyframes for the initial pose
+_INITIAL_KEYS = ("home", "stand", "init", "default")  # names of keyframes with an initial pose
 _TOOLS = re.compile(r"attach|ee|eef|end_?effector|flange|grip|pinch|tcp|tool", re.IGNORECASE)
 _MAX_FACTOR = 10  # maximum plausible ratio of a torque limit to the torque that holds the robot
-_TOLERANCE = 1e-4  # rad or m
-# Keys of `[dynamics]` by MuJoCo's fields of degrees of freedom.
+_TOLERANCE = 1e-4  # maximum joint value of a zero pose, rad or m
+# MuJoCo's fields of degrees of freedom (`dof_...`) by key of `[dynamics]`.
 _DOF_FIELDS = {
     "motor_inertias": "armature",
     "viscous_friction": "damping",
@@ -59,7 +59,7 @@ def read_mjcf(path: Path) -> ImportedTables:
 
 
 def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Returns the tables of the robot in an MJCF source, and a warning for each lost element."""
+    """Reads the robot in an MJCF source. Returns its tables and a warning for each lost element."""
     tree = tree_of(source, folder)
     model, joints = tree.model, tree.joints
     revolute = _turns(tree)
@@ -109,7 +109,7 @@ def mjcf_tables(source: Any, folder: Path) -> tuple[dict[str, Any], list[str]]:
 
 
 def plain_tables(tables: dict[str, Any]) -> dict[str, Any]:
-    """Returns a robot's tables without entries that equal the defaults."""
+    """Removes entries that equal their defaults from the tables of an imported robot."""
     plain = {key: value for key, value in tables.items() if key != "directory"}
     for key in ("couplings", "free_base"):
         if not plain[key]:
@@ -143,11 +143,11 @@ def _link_frames(tree: MjcfTree) -> dict[str, Any]:
 
 
 def tree_of(source: Any, folder: Path) -> MjcfTree:
-    """Compiles an MJCF source, see `as_spec`, and returns the robot in it."""
+    """Compiles an MJCF file, text or object, and finds the robot in the model."""
     spec = as_spec(source, folder)
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # warnings about deprecated attributes
+            warnings.simplefilter("ignore")  # MuJoCo warns about deprecated attributes.
             tree = find_tree(spec.compile())
     except DeclarationError:
         raise
@@ -162,7 +162,7 @@ def tree_of(source: Any, folder: Path) -> MjcfTree:
 
 
 def cached_tree(source: Any, folder: Path) -> MjcfTree:
-    """Returns the result of `tree_of`, cached until the file changes."""
+    """Finds the robot in an MJCF source like `tree_of`, but caches it until the file changes."""
     if is_file_name(source):
         modified, tree = _cached.get(folder / source, (0, None))
         if tree is not None and modified == _modified(folder / source):
@@ -171,7 +171,7 @@ def cached_tree(source: Any, folder: Path) -> MjcfTree:
 
 
 _MAX_CACHED = 8
-_cached: dict[Path, tuple[int, MjcfTree]] = {}  # maps files to modification times and trees
+_cached: dict[Path, tuple[int, MjcfTree]] = {}  # modification times and trees by file
 
 
 def _modified(file: Path) -> int:
@@ -240,10 +240,10 @@ def _turns(tree: MjcfTree) -> Bools:
 
 
 def _flange(tree: MjcfTree) -> tuple[int, Array]:
-    """Returns the link that carries the flange, and T_link_flange.
+    """Returns the index of the link that carries the flange, and the pose T_link_flange.
 
-    The flange is at a site of this link whose name is that of a tool, or else at the last body of
-    the link.
+    The flange is at the first site of this link that is named like a tool, or else at the last body
+    of the link.
     """
     model = tree.model
     link = flange_body(tree.parents.tolist())
@@ -257,9 +257,9 @@ def _flange(tree: MjcfTree) -> tuple[int, Array]:
 
 
 def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -> dict[str, Any]:
-    """Returns the joint angles, and the frame of a free base, in a keyframe or in `qpos0`.
+    """Returns initial joint angles and base frame of a robot, from a keyframe or from `qpos0`.
 
-    The keyframe is the first one with a name in `_INITIAL_KEYS`, or a single unnamed one.
+    The keyframe is the first one with a name such as `home`, or the only keyframe if it is unnamed.
     """
     model = tree.model
     qpos = model.qpos0
@@ -270,7 +270,7 @@ def _initial_pose(tree: MjcfTree, names: list[str], couplings: dict[str, Any]) -
     if named:
         qpos = model.key_qpos[named[0]]
     q = qpos[model.jnt_qposadr[tree.joints]].copy()
-    for _ in couplings:  # a chain of couplings may contain all couplings
+    for _ in couplings:  # A chain may contain all couplings.
         for name, coupling in couplings.items():
             q[names.index(name)] = coupling["ratio"] * q[names.index(coupling["to"])]
             q[names.index(name)] += coupling["offset"]
@@ -297,16 +297,16 @@ def _free_base(tree: MjcfTree) -> dict[str, Any]:
 
 
 def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, Any]:
-    """Returns a mapping from coupled joints to couplings.
+    """Converts equality constraints of a model to couplings, by name of the coupled joint.
 
-    MuJoCo constrains `y - y0 = p(x - x0)`, where y and x are two joint values or tendon lengths, y0
-    and x0 are their values at `qpos0`, and p is a polynomial. If there is no x, the constraint is
+    A constraint has the form `y - y0 = p(x - x0)`: y and x are joint values or tendon lengths, y0
+    and x0 are their values at `qpos0`, and p is a polynomial. Without x, the constraint is
     `y - y0 = p(0)`. The length of a fixed tendon is a weighted sum of joint values. Source:
     https://mujoco.readthedocs.io/en/stable/XMLreference.html#equality-joint
 
-    A constraint is a coupling if it is linear in two joints of the robot. The first joint follows
-    the second one, unless only the first one has an actuator or already follows another joint. In a
-    tendon, a joint follows the joints before it. For all other constraints, a sentence is added to
+    A constraint becomes a coupling if it is linear in two joints of the robot. The first joint
+    follows the second one, unless only the first one has an actuator or already follows another
+    joint. In a tendon, a joint follows the joints before it. Other constraints are reported in
     `lost`.
     """
     model, found = tree.model, dict[str, Any]()
@@ -336,10 +336,10 @@ def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, A
 
 
 def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
-    """Returns a constraint's joints, follower first, their factors (n,), and an error message.
+    """Returns the joints of a constraint, their factors (n,), and why it is not a coupling.
 
-    The sum of factors times (q - qpos0) equals the first coefficient of the polynomial. The message
-    is the reason why the constraint is not a coupling, or empty if it is one.
+    The coupled joint comes first. The sum of factor times (q - qpos0) over all joints is the first
+    coefficient of the polynomial. The reason is empty for a coupling.
     """
     model = tree.model
     items = model.eq_obj1id[equality], model.eq_obj2id[equality]
@@ -366,10 +366,7 @@ def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
 
 
 def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float]:
-    """Returns a mapping from joint ids to weights in one side of a constraint.
-
-    The mapping is empty for spatial tendons.
-    """
+    """Returns the weights of joints in one side of a constraint, none for a spatial tendon."""
     if item < 0:
         return {}
     if model.eq_type[equality] == _OF_JOINTS:

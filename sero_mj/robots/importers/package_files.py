@@ -1,4 +1,4 @@
-"""Finds files that robot descriptions refer to, without requiring ROS or Gazebo."""
+"""Finds the files to which robot descriptions refer, without ROS or Gazebo."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from ...base.paths import open_file
 
-# Variables with folders that contain packages, directly or below `share`.
+# Environment variables with folders that contain packages, directly or in a folder of each entry.
 _PACKAGE_PATHS = (
     "ROS_PACKAGE_PATH",
     "GZ_SIM_RESOURCE_PATH",
@@ -18,11 +18,11 @@ _PACKAGE_PATHS = (
     "GAZEBO_MODEL_PATH",
 )
 _PREFIX_PATHS = ("AMENT_PREFIX_PATH", "COLCON_PREFIX_PATH", "CMAKE_PREFIX_PATH")
-# NAME=DIR entries, separated as in PATH; set by `--package`.
+# Entries NAME=DIR that `--package` sets, separated as in PATH.
 PACKAGES_VARIABLE = "SERO_MJ_PACKAGES"
-# Arguments of xacro as a JSON object; set by `--arg`.
+# Xacro arguments that `--arg` sets, as a JSON object.
 ARGUMENTS_VARIABLE = "SERO_MJ_XACRO_ARGUMENTS"
-_MAX_ABOVE = 12  # number of searched folders above a file
+_MAX_ABOVE = 12  # maximum number of parent folders of a file that are searched
 _SCHEME = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/*")
 # Substitutions in xacro and launch files.
 _FIND = re.compile(r"(?:file:/*)?\$\(find(?:-pkg-share)?\s+([^)\s]+)\s*\)/*")
@@ -30,14 +30,15 @@ _MANIFEST_NAME = re.compile(rb"<name>\s*([^<\s]+)\s*</name>")
 
 
 def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = None) -> Path | None:
-    """Returns the path of a file that a robot description refers to, or None if it does not exist.
+    """Finds a file to which a robot description refers. Returns None if the file does not exist.
 
     Args:
-        name: `package://NAME/...`, `model://NAME/...`, `file:///...`, `$(find NAME)/...`, or a
-            path. Relative paths are searched for in the folder of the description and in the
-            folders above it. Case is ignored if there is no exact match.
+        name: file name as in the description: `package://NAME/...`, `model://NAME/...`,
+            `file:///...`, `$(find NAME)/...`, or a path. Relative paths are searched for in the
+            folder of the description and its parent folders. Case is ignored if there is no exact
+            match.
         beside: file of the robot description.
-        packages: mapping from package names to folders, which take precedence over other folders.
+        packages: folders of packages by name, which take precedence over other folders.
     """
     if "\0" in name:
         return None
@@ -49,7 +50,7 @@ def find_file(name: str, beside: Path, packages: Mapping[str, Path] | None = Non
                 if found is not None and found.is_file():
                     return Path(os.path.abspath(found))
             except OSError:
-                continue  # the name is too long, or the folder is not accessible
+                continue  # The name is too long, or the folder is not accessible.
     return None
 
 
@@ -64,7 +65,7 @@ def _in_other_case(path: Path) -> Path | None:
 
 
 def package_of(name: str) -> str | None:
-    """Returns the package in the name of a file, or None if it contains no package."""
+    """Returns the package to which a file name such as `package://NAME/...` refers, or None."""
     if (sought := _FIND.match(name)) is not None:
         return sought[1]
     found = _SCHEME.match(name)
@@ -97,8 +98,8 @@ def package_folders(
 ) -> Iterator[Path]:
     """Yields the possible folders of a package in order of precedence.
 
-    The folders are the package's entry in `packages`, the folders above the file `beside`, and the
-    folders in the environment variables of ROS and Gazebo.
+    The folders are the entry of the package in `packages`, the parent folders of the file `beside`,
+    and the folders in the environment variables of ROS and Gazebo.
     """
     if packages and package in packages:
         yield Path(packages[package])

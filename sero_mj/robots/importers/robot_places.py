@@ -1,7 +1,7 @@
-"""Finds robots by names that are neither files nor included robots.
+"""Finds robots by name that are not included in sero-mj.
 
-Built-in places are the package `robot_descriptions`, MuJoCo Menagerie and ROS packages. Other
-packages add a `RobotPlace` with an entry point in the group `sero_mj.robots`.
+Robots are searched for in the package `robot_descriptions`, in MuJoCo Menagerie and in ROS
+packages. Packages add a `RobotPlace` with an entry point in the group `sero_mj.robots`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ...base.paths import ROBOT_FILE, list_models, model_in, models_dir
 from ...base.trust import import_listed
 from .package_files import find_file
 
-# Shipped robots by names that manufacturers and drivers use.
+# Included robots by the names that manufacturers and drivers use.
 _ALIASES: Mapping[str, str] = {
     "frankaemikapanda": "panda",
     "frankapanda": "panda",
@@ -38,7 +38,7 @@ _ALIASES: Mapping[str, str] = {
     "universalrobotsur5e": "ur5e",
 }
 _ENDINGS = ("_description", "_mj_description")  # endings of module names in robot_descriptions
-_BESIDE = ("mujoco_menagerie", "menagerie")  # folders of a local clone
+_BESIDE = ("mujoco_menagerie", "menagerie")  # usual folders of a local clone
 _WRAPPER = """\
 <robot xmlns:xacro="http://www.ros.org/wiki/xacro" name={name}>
 {arguments}
@@ -48,11 +48,12 @@ _WRAPPER = """\
 
 
 class RobotPlace(ABC):
-    """A place where robots are found by name.
+    """Base class of collections in which robots are found by name, such as a package.
 
     Attributes:
+        title: displayed name of the collection.
         none: text that is shown instead of names if no names are known.
-        order: search priority, lowest first. Built-in places use 10 to 90.
+        order: search priority; the lowest comes first. Built-in collections use 10 to 90.
     """
 
     title: ClassVar[str]
@@ -61,25 +62,25 @@ class RobotPlace(ABC):
 
     @abstractmethod
     def names(self) -> list[str]:
-        """Returns the known names without accessing the network."""
+        """Returns the names of known robots without accessing the network."""
 
     @abstractmethod
     def find(self, name: str) -> Path | None:
-        """Returns the file of a robot, or None if the name is unknown.
+        """Returns the file of the robot with a name, or None if the name is unknown.
 
-        Raises SeroError if the robot is known but not available.
+        Raises SeroError if the name is known but the file is not available.
         """
 
     def near(self, name: str) -> str | None:
-        """Returns the known name that is most similar to an unknown one, or None."""
+        """Returns the known name that is most similar to an unknown name, or None."""
         return nearest(name, self.names())
 
 
 class RobotDescriptions(RobotPlace):
-    """The package `robot_descriptions`, which clones repositories of robots into a cache.
+    """Robots of the package `robot_descriptions`, which clones robot repositories into a cache.
 
     The name of a robot is the name of its module, such as `ur5e_description`. Shorter names are not
-    accepted, because downloads can have hundreds of megabytes.
+    accepted, because a download can have hundreds of megabytes.
     """
 
     order: ClassVar[int] = 90
@@ -101,7 +102,7 @@ class RobotDescriptions(RobotPlace):
             return None
         try:
             found = import_listed("robot_descriptions", module, self.names())
-        except Exception as error:  # git, the network or the package can fail
+        except Exception as error:  # Git, the network or the package can fail.
             reason = " ".join(str(error).split())[:300]
             raise UsageError(
                 f"robot_descriptions cannot fetch {module}: {type(error).__name__}: {reason}"
@@ -135,7 +136,7 @@ def _wrapped(module: str, found: Any) -> Path:
 
 
 class Menagerie(RobotPlace):
-    """A clone of MuJoCo Menagerie in `$MENAGERIE_PATH` or in the folder `mujoco_menagerie`.
+    """Robots in a clone of MuJoCo Menagerie, in `$MENAGERIE_PATH` or the folder `mujoco_menagerie`.
 
     The name of a robot is the name of its folder, with or without the manufacturer, such as
     `universal_robots_ur5e` or `ur5e`.
@@ -168,7 +169,7 @@ def _menagerie() -> list[Path]:
 
 
 class OtherSpellings(RobotPlace):
-    """Shipped robots under names of manufacturers and drivers, such as `franka_research_3`."""
+    """Included robots by the names of manufacturers and drivers, such as `franka_research_3`."""
 
     order: ClassVar[int] = 30
     title: ClassVar[str] = "other spellings of included robots"

@@ -1,4 +1,4 @@
-"""Writes the tables of a robot as a commented robot file."""
+"""Formats the tables of a robot as a TOML robot file with comments."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .imported_tables import ImportedTables
 from .toml_text import inline, toml_entry
 
 _SCHEMA = "#:schema ./robot.schema.json"
-_ZERO = 1e-15  # m, rad, kg m2: rounding
+_ZERO = 1e-15  # maximum rounding error of zero, in m, rad or kg m2
 _MAX_COLUMN_WIDTH = 60  # maximum width of a column of entries before comments
 
 
@@ -26,7 +26,13 @@ def robot_text(
     bodies: Sequence[Sequence[str]],
     flange: str,
 ) -> str:
-    """Returns the text of a robot file that declares the robot of `tables`."""
+    """Returns the text of a robot file for an imported robot, with comments.
+
+    Args:
+        limbs: joint indices by limb name.
+        bodies: names of the original links that form the base and each link.
+        flange: comment about the flange.
+    """
     text = _RobotText(bodies, _rounded(tables))
     lines = [
         f"Converted from {file} by `sero-mj import`. Lengths in m, angles in rad, masses in kg,",
@@ -173,7 +179,7 @@ def _rounded(value: Any) -> Any:
 
 
 def frame_table(T: Any) -> dict[str, list[float]]:
-    """Returns a frame (4, 4) as a table of `xyz` and `quat`, each only if it is not zero."""
+    """Converts a frame (4, 4) to a table with `xyz` and `quat`, without entries that are zero."""
     T = np.asarray(T, np.float64)
     table = {}
     if (np.abs(T[:3, 3]) > _ZERO).any():
@@ -184,10 +190,9 @@ def frame_table(T: Any) -> dict[str, list[float]]:
 
 
 def copied_meshes(tables: Mapping[str, Any], copy: Callable[[Path, str], None]) -> dict[str, Any]:
-    """Returns tables whose meshes are in a folder `meshes`, to which `copy` copies the files.
+    """Copies the meshes of a robot to the folder `meshes`, and returns tables that use them.
 
-    Args:
-        copy: function that is called with each file and the file's name in the folder.
+    `copy` is called with each mesh file and its name in this folder.
     """
     result = dict(tables)
     folder = Path(result.get("directory", ""))

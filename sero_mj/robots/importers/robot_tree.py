@@ -1,8 +1,8 @@
 """Converts a tree of links and joints, as in URDF, to the tables of a robot file.
 
 Links that are fixed to each other are merged, with their inertias and geometries. The result is a
-base and one link per movable joint. The z axis of a link's frame is the joint axis. A chain is
-described by a Denavit-Hartenberg table if possible. Other trees are described by joint frames.
+base and one link per movable joint. The z axis of a link's frame is the joint axis. If possible, a
+chain is described by a Denavit-Hartenberg table. Other trees are described by joint frames.
 """
 
 from __future__ import annotations
@@ -28,22 +28,25 @@ _FLANGES = (
     "gripper_tcp", "hand_tcp", "grasp", "gripper", "hand",
 )  # fmt: skip
 _MAX_LENGTH_RATIO = 10.0  # maximum ratio of a length in a DH table to the reach
-_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative, as in `robots.declared.dynamics`
-NO_LIMIT = 1e3  # rad or m; position limits of this size and more are ignored
+_MOMENT_ROUNDING, _ZERO = 1e-6, 1e-12  # relative tolerances, as in `robots.declared.dynamics`
+NO_LIMIT = 1e3  # position limits of this size and more are ignored, rad or m
 TOO_FAR = f"limits of {NO_LIMIT:g} rad or m and more are ignored"
 
 
 def flange_body(parents: Sequence[int]) -> int:
-    """Returns the body that carries the flange: the end of the longest branch, or a gripper.
+    """Returns the index of the body that carries the flange.
 
-    `parents` contains the parent of each body 1, 2, ..., where 0 is the base.
+    This is the last body of the longest branch, or the body that carries its fingers.
+
+    Args:
+        parents: parents of the bodies 1, 2, ..., where 0 is the base.
     """
-    paths = [[0]]  # from the base to each body
+    paths = [[0]]  # bodies between the base and each body
     for body, parent in enumerate(parents, 1):
         paths.append([*paths[parent], body])
     longest = max(map(len, paths))
     deepest = [path for path in paths if len(path) == longest]
-    # Fingers share most of their paths; the arms of a humanoid do not.
+    # Fingers share most of their paths, unlike the arms of a humanoid.
     common = [same[0] for same in zip(*deepest, strict=True) if len({*same}) == 1]
     is_gripper = len(common) > 1 and 2 * (len(common) - 1) >= longest - 1
     return common[-1] if is_gripper else deepest[0][-1]
@@ -51,12 +54,13 @@ def flange_body(parents: Sequence[int]) -> int:
 
 @dataclass
 class Geometry:
-    """A mesh or a primitive shape.
+    """A mesh or a primitive shape of a link.
 
     Attributes:
-        file: absolute path of the mesh; None for a shape.
-        shape: `box`, `sphere`, `cylinder` or `capsule`.
-        size: see `robots.declared.surroundings.SHAPE_SIZES`.
+        frame: pose in the frame of the link, shape (4, 4), m.
+        file: absolute path of the mesh; None for a primitive shape.
+        shape: primitive shape, `box`, `sphere`, `cylinder` or `capsule`.
+        size: dimensions of the shape as in `robots.declared.surroundings.SHAPE_SIZES`, m.
         color: name and RGBA values of the color.
     """
 
@@ -72,7 +76,10 @@ class Geometry:
 
 @dataclass
 class UrdfLink:
-    """A link with its center of mass (3,) and the inertia tensor (3, 3) about this center."""
+    """A link with its geometry, mass, center of mass (3,), and inertia tensor (3, 3).
+
+    The tensor is about the center of mass. Units are kg, m and kg m2.
+    """
 
     name: str
     line: int | None = None
@@ -88,9 +95,10 @@ class Joint:
     """A joint between two links.
 
     Attributes:
-        kind: joint type: `revolute`, `prismatic` or `fixed`.
-        frame: T_parent_child at joint value zero.
-        mimic: name of the followed joint, with the ratio and the offset.
+        kind: joint type, `revolute`, `prismatic` or `fixed`.
+        frame: pose of the child in the frame of the parent at joint value zero, shape (4, 4), m.
+        axis: joint axis in the frame of the child, shape (3,).
+        mimic: name of the driving joint, ratio and offset of a coupled joint, or None.
     """
 
     name: str
@@ -112,22 +120,23 @@ class Joint:
 
 @dataclass
 class _Body:
-    """Links that are fixed to each other: the base, or the links that a joint moves."""
+    """A group of links that are fixed to each other: the base, or the links that a joint moves."""
 
     joint: Joint | None
     parent: int
-    T_parent: Array  # T_parent_body at joint value zero; z is the joint axis
-    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # links with T_body_link
-    fixed: dict[str, str] = field(default_factory=dict)  # parents of fixed links
+    T_parent: Array  # pose in the parent body at joint value zero, with z along the joint axis
+    links: list[tuple[UrdfLink, Array]] = field(default_factory=list)  # links and poses T_body_link
+    fixed: dict[str, str] = field(default_factory=dict)  # parent names by name of a fixed link
 
 
 class TreeTables:
-    """Builds the tables of a tree of links.
+    """The tables of a robot file that describe a tree of links, built by the constructor.
 
     Attributes:
-        bodies: names of the links of every body, base first.
-        T_body_link: mapping from link names to the body and T_body_link (4, 4), in the frames of
-            `tables`.
+        bodies: names of the links of each body, base first.
+        flange: name of the link at the flange.
+        T_body_link: index of the body and pose in its frame (4, 4) for each link, by name. The
+            frames are those of `tables`.
     """
 
     def __init__(
@@ -360,12 +369,12 @@ class _Colors:
 
 
 def plausible_limits(limits: Array) -> Array:
-    """Returns position limits (..., 2) with limits of `NO_LIMIT` or more replaced by infinity."""
+    """Replaces position limits (..., 2) of 1000 rad or m (`NO_LIMIT`) or more by infinity."""
     return np.where(np.abs(limits) < NO_LIMIT, limits, [-np.inf, np.inf])
 
 
 def plain_name(name: str, taken: set[str]) -> str:
-    """Returns an unused name with only letters, digits, _ and -, and adds it to `taken`."""
+    """Converts a name to letters, digits, _ and -, makes it unique, and adds it to `taken`."""
     plain = _NO_NAME.sub("_", name)
     if not re.match(r"[A-Za-z_]", plain):
         plain = f"_{plain}"
@@ -378,9 +387,9 @@ def plain_name(name: str, taken: set[str]) -> str:
 
 
 def aligned(axis: Array) -> Array:
-    """Returns a rotation (3, 3) with z along an axis of any length; exact for coordinate axes."""
+    """Returns a rotation matrix whose z axis is parallel to `axis`, exact for coordinate axes."""
     axis = axis / np.linalg.norm(axis)
-    # The x axis is x or y, whichever is farther from the axis, made perpendicular to it.
+    # The x axis is derived from x or y, depending on which one is farther from the axis.
     helper = np.eye(3)[0 if abs(axis[0]) <= abs(axis[1]) else 1]
     if abs(axis[0]) < 1e-12 and abs(axis[1]) < 1e-12:
         z = np.sign(axis[2])
@@ -397,7 +406,7 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
         below.setdefault(each.parent, []).append(each)
     order = {id(each): k for k, each in enumerate(joints)}
     bodies = [_Body(None, 0, np.eye(4))]
-    # Branches to visit: a movable joint, its parent body, and T_body_parent.
+    # Branches to visit, each with a movable joint, its parent body, and T_body_parent.
     waiting: list[tuple[Joint | None, int, Array]] = [(None, 0, np.eye(4))]
     while waiting:
         joint, parent, T = waiting.pop()
@@ -422,7 +431,7 @@ def _merged(links: list[UrdfLink], joints: list[Joint], root: str) -> list[_Body
 
 
 def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Array]:
-    """Returns the total mass, center of mass and inertia tensor of links with T_body_link."""
+    """Returns the total mass, center of mass and inertia tensor of links with poses (4, 4)."""
     mass = sum(link.mass for link, _ in parts)
     if mass <= 0.0:
         return 0.0, np.zeros(3), np.zeros((3, 3))
@@ -438,7 +447,7 @@ def joint_inertia(parts: list[tuple[UrdfLink, Array]]) -> tuple[float, Array, Ar
 
 
 def six_of(tensor: Array) -> list[float]:
-    """Returns Ixx, Iyy, Izz, Ixy, Ixz, Iyz of an inertia tensor (3, 3)."""
+    """Returns the entries Ixx, Iyy, Izz, Ixy, Ixz and Iyz of an inertia tensor (3, 3)."""
     entries = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)]
     return [float(tensor[i, j]) for i, j in entries]
 
@@ -462,7 +471,7 @@ def _entry(
             same = (geometry.scale == geometry.scale[0]).all()
             entry["scale"] = float(geometry.scale[0]) if same else geometry.scale.tolist()
     else:
-        assert geometry.size is not None  # shapes have a size
+        assert geometry.size is not None  # All primitive shapes have a size.
         entry |= {"shape": geometry.shape, "size": geometry.size.tolist()}
     if look is not None and geometry.color is not None:
         entry["color"] = look(geometry.color)

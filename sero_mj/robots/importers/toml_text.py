@@ -1,4 +1,4 @@
-"""Writes tables as readable TOML."""
+"""Formats tables as readable TOML."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import Any
 
 _WIDTH = 100
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
-_LONG_TEXT = 400  # characters; longer text is split into several lines
+_LONG_TEXT = 400  # maximum length of text on one line, characters
 
 
 def toml_text(tables: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
-    """Returns tables as TOML text after comment lines. `comments` contains no `#`."""
+    """Formats tables as TOML text that starts with comments, which are given without `#`."""
     lines = [f"# {line}".rstrip() for line in comments]
     plain = {key: value for key, value in tables.items() if not _is_section(value)}
     lines += [*([""] if lines and plain else []), *_entries(plain)]
@@ -60,7 +60,7 @@ def _entries(table: Mapping[str, Any]) -> list[str]:
 
 
 def toml_entry(key: str, value: Any) -> list[str]:
-    """Returns the lines of a key and its value."""
+    """Returns the lines of TOML text that set a key."""
     line = f"{toml_key(key)} = {inline(value)}"
     if isinstance(value, str) and len(value) > _LONG_TEXT and "'''" not in value:
         line = f"{toml_key(key)} = '''\n{value}'''"
@@ -84,7 +84,7 @@ def _rows(values: list[Any]) -> list[str]:
 
 
 def toml_key(key: str) -> str:
-    """Returns a key, quoted if necessary."""
+    """Returns a key as TOML text, quoted if necessary."""
     return key if _BARE.fullmatch(key) else _quoted(key)
 
 
@@ -94,7 +94,7 @@ def _quoted(text: str) -> str:
 
 
 def inline(value: Any) -> str:
-    """Returns a value on one line."""
+    """Returns a value as one line of TOML text."""
     if isinstance(value, Mapping):
         entries = ", ".join(f"{toml_key(key)} = {inline(each)}" for key, each in value.items())
         return f"{{ {entries} }}" if entries else "{}"

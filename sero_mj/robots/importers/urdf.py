@@ -41,7 +41,7 @@ from .xml_file import Element, XmlError, parse_loose_xml, parse_xml
 
 _MAX_BYTES = 50_000_000
 _MAX_JOINTS = 128  # maximum number of movable joints
-_MAX_LINKS = 10_000  # some steps take quadratic time
+_MAX_LINKS = 10_000  # maximum number of links, because some steps take quadratic time
 _FREEING = ("floating", "planar")
 _KINDS = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SHAPES = {"box": "size", "cylinder": "radius, length", "sphere": "radius",
@@ -67,16 +67,16 @@ def read_urdf(
 ) -> ImportedTables:
     """Reads a robot from a URDF file, or from a xacro file if the package `xacro` is installed.
 
-    Chains that can be described by a DH table get a table in Craig's convention. Other robots get
+    A chain is converted to a DH table in Craig's convention if possible. Other robots have
     `joint_frames`.
 
     Args:
-        packages: mapping from names of ROS packages to folders, for `package://NAME/...`. Other
-            packages are searched for as described in `package_folders`.
-        arguments: mapping from names of xacro arguments to values.
+        packages: folders of ROS packages by name, for `package://NAME/...`. Other packages are
+            searched for in folders above the file and in paths from the environment.
+        arguments: values of xacro arguments by name.
 
     Raises:
-        NoJoints: the file has no movable joint. Read it with `read_rigid_urdf`.
+        NoJoints: the file has no movable joint. Use `read_rigid_urdf` instead.
         DeclarationError: the file or the arguments are invalid. The exception lists all errors.
     """
     file = UrdfFile(Path(path), packages, arguments)
@@ -85,7 +85,7 @@ def read_urdf(
 
 
 def read_rigid_urdf(path: Path | str) -> ImportedTables:
-    """Reads a URDF file without movable joints, such as a tool, as a robot that is only a base."""
+    """Reads a URDF file without movable joints, such as a tool, as a robot with only a base."""
     file = UrdfFile(Path(path))
     if file.tree.joints:
         raise Problem(
@@ -119,13 +119,13 @@ def _as_text(value: Any) -> str:
 
 
 class UrdfFile:
-    """A URDF file, which the constructor reads.
+    """A URDF or xacro file that the constructor has read and converted.
 
-    `convention` is the convention of the DH table, if the robot has one.
+    `convention` is the convention of the DH table if the robot has one.
 
     Attributes:
-        tree: the converted tree of links.
-        described: the result of `read_urdf`.
+        tree: converted tree of links.
+        described: tables of the robot, with line numbers and warnings.
     """
 
     def __init__(
@@ -142,12 +142,12 @@ class UrdfFile:
         self._warnings: list[str] = []
         self._is_xacro, self._has_lines = False, True
         self._missing: dict[str, None] = {}  # names of missing mesh files
-        self._found: dict[str, Path | None] = {}  # maps names to mesh files
-        self._last_found: dict[str, Path] = {}  # maps packages to folders
-        self._unreadable: dict[Path, str] = {}  # maps mesh files to errors
-        self._colored: dict[Path, bool] = {}  # whether a mesh file has colors
+        self._found: dict[str, Path | None] = {}  # mesh files by name in the URDF
+        self._last_found: dict[str, Path] = {}  # folders by package
+        self._unreadable: dict[Path, str] = {}  # error messages by mesh file
+        self._colored: dict[Path, bool] = {}  # whether a mesh file has colors, by file
         self._flat: set[Path] = set()
-        self._notes: dict[str, list[str]] = {}  # warnings, and the elements they concern
+        self._notes: dict[str, list[str]] = {}  # affected elements by warning
         root = self._root()
         self._root_line = root.sourceline if self._has_lines else None
         if (count := sum(1 for _ in _children(root, "link"))) > _MAX_LINKS:
@@ -274,7 +274,7 @@ class UrdfFile:
         except ImportError:
             self._problem(None, "", _NO_XACRO.format(name=self.path.name))
             self._stop()
-        self._is_xacro, self._has_lines = True, False  # xacro loses line numbers
+        self._is_xacro, self._has_lines = True, False  # xacro discards line numbers.
 
         def find(package: str) -> str:
             folders = package_folders(package, self.path, self._packages)
@@ -287,7 +287,7 @@ class UrdfFile:
 
         try:
             text = xacro_file.expand(self.path, self._arguments, find)
-        except (Exception, SystemExit) as error:  # xacro raises any exception for invalid files
+        except (Exception, SystemExit) as error:  # xacro raises any exception for invalid files.
             reason = " ".join(str(error).split()) or type(error).__name__
             if (missing := _NO_ARGUMENT.search(reason)) is not None:
                 reason += f"; set it with --arg {missing[1]}=VALUE"
@@ -346,7 +346,7 @@ class UrdfFile:
             self._note("<inertial> without <mass value=...> is ignored", inertial, key)
         elif (value := self._number(mass, "value", key)) is not None and value < 0:
             self._problem(mass, key, f"<mass>: found {value:g} kg; expected 0 or more")
-        elif value == 0 and _all(element, "geometry"):  # links without geometry are frames
+        elif value == 0 and _all(element, "geometry"):  # A link without geometry is only a frame.
             self._note("links with zero mass", mass, f"'{link.name}'")
         tensor = np.zeros((3, 3))
         if inertia is not None:
@@ -426,7 +426,7 @@ class UrdfFile:
             return None
         if color is None or not self._colored[file]:
             return Geometry(T, file, scale, color=color, line=mesh.sourceline)
-        # As in RViz, colors of the mesh file override the material, but not its opacity.
+        # As in RViz, colors of a mesh file override the color of the material, but not its opacity.
         alpha = float(color[1][3]) or 1.0
         return Geometry(T, file, scale, opacity=alpha, line=mesh.sourceline)
 
@@ -542,7 +542,7 @@ class UrdfFile:
             values = self._numbers(axis, "xyz", key, (3,))
             if values is not None and np.linalg.norm(values) < 1e-9:
                 found = " ".join(f"{value:g}" for value in values)
-                self._problem(axis, key, f"<axis>: found {found}; expected a direction")
+                self._problem(axis, key, f"<axis>: found {found}; expected a nonzero vector")
             elif values is not None:
                 joint.axis = values
 
@@ -595,7 +595,7 @@ class UrdfFile:
             if value is not None and value < 0:
                 message = f"<limit>: found {name} = {value:g}; expected 0 or more"
                 self._problem(limit, key, message)
-            elif value and value < LARGEST:  # 0 means unknown
+            elif value and value < LARGEST:  # 0 means unknown.
                 setattr(joint, name, value)
 
     def _tree(self, links: list[UrdfLink], joints: list[Joint]) -> str:
@@ -623,20 +623,20 @@ class UrdfFile:
     def _free_base(
         self, root: str, links: list[UrdfLink], joints: list[Joint]
     ) -> tuple[Array, Joint | None]:
-        """Returns T_root_base and the joint of a free base, or None if there is no such joint.
+        """Returns the pose of the base in the root frame, and the joint of a free base or None.
 
         The joint of a free base is the floating or planar joint that is fixed to the root and
         carries all movable joints. Links and joints that it does not carry are removed. Other
-        floating joints become fixed joints, because MuJoCo supports free joints at the top level
-        only. Other planar joints become three joints.
+        floating joints become fixed joints, because MuJoCo supports free joints only at the top
+        level. Each other planar joint becomes three joints.
         """
         below: dict[str, list[Joint]] = {}
         for joint in joints:
             below.setdefault(joint.parent, []).append(joint)
-        inside: dict[str, set[str]] = {}  # links below a joint
+        inside: dict[str, set[str]] = {}  # links that a joint carries, by joint
         freeing: list[tuple[Array, Joint]] = []
         waiting = [(root, np.eye(4))]
-        while waiting:  # links that are fixed to the root
+        while waiting:  # This visits the links that are fixed to the root.
             name, T = waiting.pop()
             for joint in below.get(name, []):
                 T_child = T @ joint.frame
@@ -654,7 +654,7 @@ class UrdfFile:
         T, chosen = max(freeing, key=lambda each: worth(each[1]), default=(np.eye(4), None))
         moving = sum(joint.kind in MOVING for joint in joints)
         if chosen is not None and worth(chosen)[0] < moving:
-            T, chosen = np.eye(4), None  # the root carries joints as well
+            T, chosen = np.eye(4), None  # The root carries movable joints, too.
         if chosen is not None:
             mine = inside[chosen.name]
             out = [link for link in links if link.name not in mine]
@@ -811,7 +811,7 @@ def _reached(root: str, below: Mapping[str, list[Joint]]) -> set[str]:
 
 
 def _single_axes(joint: Joint, taken: set[str]) -> tuple[list[Joint], list[UrdfLink]]:
-    """Returns two prismatic joints and a revolute one for a planar joint, and links in between."""
+    """Converts a planar joint to two prismatic joints, a revolute joint, and links in between."""
     axes = aligned(joint.axis).T
     made: list[Joint] = []
     added = [UrdfLink(plain_name(f"{joint.name}_{axis}", taken), joint.line) for axis in "xy"]

@@ -1,8 +1,8 @@
 """Expands xacro files without executing arbitrary Python code in them.
 
-The package `xacro` passes expressions (`${...}`, `$(eval ...)`) to Python's `eval`. Here the
-package `simpleeval` interprets them instead: arithmetic, comparisons, conditions, lists,
-dictionaries, comprehensions, and the functions of xacro. Lambdas, f-strings and attributes other
+The package `xacro` passes expressions (`${...}`, `$(eval ...)`) to Python's `eval`. Here, the
+package `simpleeval` interprets them. It supports arithmetic, comparisons, conditions, lists,
+dictionaries, comprehensions, and the functions of xacro. Lambdas, f-strings, and attributes other
 than dictionary entries and safe methods are errors. This module requires both packages.
 """
 
@@ -29,14 +29,14 @@ _METHODS = {
     tuple: {"index", "count"},
     float: {"is_integer"},
 }
-# Serializes calls, because xacro has global state and its evaluation is patched globally.
+# This lock serializes calls, because xacro has global state and is patched globally.
 _LOCK = threading.Lock()
 
 
 def expand(path: Path, arguments: Mapping[str, str], find: Callable[[str], str]) -> str:
-    """Returns the XML text of an expanded xacro file. Exceptions of xacro are not converted.
+    """Expands a xacro file to XML text. Exceptions of xacro are not converted.
 
-    `find` returns the folder of a ROS package, for `$(find NAME)`.
+    `find` is a function that returns the folder of a ROS package, for `$(find NAME)`.
     """
     output = io.StringIO()
     with _LOCK, _without_python(find), redirect_stderr(output), redirect_stdout(output):
@@ -78,7 +78,7 @@ def _without_python(find: Callable[[str], str]) -> Iterator[None]:
 
 
 class _Names(Mapping[str, Any]):
-    """Names of functions and arguments. Arguments are looked up only if an expression uses them."""
+    """The names available in an expression. Arguments are evaluated only when they are used."""
 
     def __init__(
         self,
@@ -136,7 +136,7 @@ class _Functions(dict[str, Any]):
 
 
 def range_up_to(*limits: int) -> range:
-    """Returns a `range` of limited length, so that a file cannot exhaust the memory."""
+    """Returns a `range`. Raises ValueError if its list could exhaust the memory."""
     found = range(*limits)
     if len(found) > _MAX_RANGE:
         raise ValueError(f"found a range of {len(found)} numbers; expected at most {_MAX_RANGE}")

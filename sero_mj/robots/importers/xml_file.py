@@ -1,4 +1,4 @@
-"""Reads XML of unknown origin safely."""
+"""Parses XML safely, even if its origin is unknown."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from typing import Any, TypeAlias
 from lxml import etree
 
 Element: TypeAlias = Any  # lxml has no types
-_MAX_HEAD = 100_000  # bytes that contain the beginning of the first element
+_MAX_HEAD = 100_000  # number of bytes in which the first element must begin
 _NO_ELEMENT = re.compile(rb"<!--.*?-->|<\?.*?\?>|<!.*?>", re.DOTALL)
 _ELEMENT = re.compile(rb"<([A-Za-z_][\w.-]*)")
-# Text that is allowed before the first element, and tolerated before the XML declaration.
+# Text that is valid before the first element, and tolerated before the XML declaration.
 _BEFORE = rb"\s|\xef\xbb\xbf|<!--(?>.*?-->)"
 _DECLARATION = re.compile(rb"((?>%b)*+)(<\?xml\s[^>]*?\?>)" % _BEFORE, re.DOTALL)
 _VERSION = re.compile(rb"version\s*=\s*[\"']1\.")
@@ -26,7 +26,7 @@ _MAX_PREFIXES = 100
 
 
 class XmlError(ValueError):
-    """Invalid XML. `reasons` are pairs of a line, or None, and an error message."""
+    """Raised for invalid XML. `reasons` contains pairs of line number (or None) and message."""
 
     def __init__(self, reasons: list[tuple[int | None, str]]) -> None:
         self.reasons = reasons
@@ -34,22 +34,22 @@ class XmlError(ValueError):
 
 
 def first_element(head: bytes) -> str | None:
-    """Returns the name of the first element in `head`, or None."""
+    """Returns the name of the first XML element in `head`, or None if there is no element."""
     found = _ELEMENT.search(_NO_ELEMENT.sub(b"", head))
     return None if found is None else found[1].decode()
 
 
 def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
-    """Returns the root element of an XML file. Raises XmlError if the XML is invalid.
+    """Returns the root element of XML contents. Raises XmlError if the XML is invalid.
 
     Entity declarations are rejected, because they can expand a few bytes to gigabytes or insert
-    other files. The network is not used. `encoding` overrides the file's encoding.
+    other files. The network is not used. `encoding` overrides the declared encoding.
     """
     stated = None
     if encoding is None and (found := _STATED.match(contents)) is not None:
         stated = found[1].decode()
     known = None if (name := encoding or stated) is None else _known(name)
-    encoding = None if known == stated else known  # lxml handles a declared encoding that it knows
+    encoding = None if known == stated else known  # lxml uses a declared encoding that it knows.
     try:
         parser = etree.XMLParser(
             resolve_entities=False, no_network=True, load_dtd=False, huge_tree=False,
@@ -81,10 +81,10 @@ def _known(encoding: str) -> str:
 
 
 def parse_loose_xml(contents: bytes) -> tuple[Element, list[str]]:
-    """Parses XML like `parse_xml`, but tolerates some errors and also returns warnings about them.
+    """Parses XML like `parse_xml`, but corrects two kinds of errors and returns warnings.
 
-    Undeclared prefixes are tolerated, and an XML declaration that is not at the start or has an
-    unknown version. The corrections do not change line numbers.
+    The errors are undeclared prefixes, and an XML declaration that has an unknown version or is not
+    at the start. The corrections do not change line numbers.
     """
     try:
         return parse_xml(contents), []

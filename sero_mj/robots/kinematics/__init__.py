@@ -1,6 +1,6 @@
-"""Kinematics of robots in numpy: joints to frames, and frames to Denavit-Hartenberg tables.
+"""Kinematics of robots in NumPy, and conversion of joint frames to Denavit-Hartenberg tables.
 
-In: Denavit-Hartenberg tables or frames of joints, and joint values. Out: frames, joint axes and
-Jacobians, for one pose or many.
-Open first: `joint_tree.py`; then `dh.py`.
+In: a Denavit-Hartenberg table or joint frames, and one or many sets of joint values. Out: frames,
+joint axes and Jacobians.
+Open first: `joint_tree.py`, then `dh.py`.
 """

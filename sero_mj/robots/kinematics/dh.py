@@ -1,4 +1,4 @@
-"""Denavit-Hartenberg kinematics in numpy, independent of MuJoCo; used to check its results.
+"""Denavit-Hartenberg kinematics in NumPy, independent of MuJoCo, whose results it can check.
 
 Craig (modified):   T_{i-1,i} = Rx(alpha) Tx(a) Rz(theta) Tz(d), joint axis i is z of frame i.
 Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint axis i is z of frame i-1.
@@ -6,7 +6,7 @@ Standard (classic): T_{i-1,i} = Rz(theta) Tz(d) Tx(a) Rx(alpha), joint axis i is
 Sources: Craig, Introduction to Robotics, eq. 3.6 (modified); Denavit and Hartenberg 1955 as in
 Spong et al., Robot Modeling and Control, eq. 3.10 (standard). Frame 0 is the base. The joint
 value q_i is added to theta_i (revolute) or to d_i (prismatic). In branching robots, i - 1 is
-the parent of joint i (see `joint_tree`).
+the parent of joint i.
 
 Mirrored at the xz plane, a frame T becomes S T S with S = diag(1, -1, 1, 1). S inverts the signs of
 alpha and theta (S Rx(alpha) S = Rx(-alpha), S Rz(theta) S = Rz(-theta)), and leaves Tx and Tz
@@ -35,8 +35,12 @@ COLUMNS: tuple[Column, ...] = ("alpha", "a", "theta", "d")
 class DhTable(JointTree):
     """A Denavit-Hartenberg table of n joints.
 
-    The link twists alpha, link lengths a, joint offsets theta and link offsets d are (n,), rad and
-    m.
+    Attributes:
+        convention: convention of the table, `craig` (modified) or `standard`.
+        alpha: link twists, shape (n,), rad.
+        a: link lengths, shape (n,), m.
+        theta: joint angles at joint value zero, shape (n,), rad.
+        d: link offsets at joint value zero, shape (n,), m.
     """
 
     convention: Convention
@@ -57,10 +61,10 @@ class DhTable(JointTree):
         columns: tuple[str, ...] = COLUMNS,
         revolute: ArrayLike | None = None,
     ) -> DhTable:
-        """Builds a table from rows (n, 4) with the given column order; revolute unless declared.
+        """Builds a table from rows, shape (n, 4), rad and m. The default is revolute joints.
 
-        The paper's Fig. 7 shows alpha first and d last, and leaves the two between them open. The
-        default order is our interpretation.
+        Fig. 7 of the paper shows alpha first and d last, but not the order of the other two
+        columns. The default order of `columns` is our interpretation.
         """
         table = np.asarray(rows, dtype=np.float64).reshape(-1, 4)
         alpha, a, theta, d = (table[:, columns.index(name)].copy() for name in COLUMNS)

@@ -1,16 +1,16 @@
-"""The Denavit-Hartenberg table of a serial chain of joint frames.
+"""Converts a serial chain of joint frames to a Denavit-Hartenberg table.
 
 Any two lines have a common normal, so every serial chain has such a table. The axes of a chain are
 the z axis of the base, the joint axes, and the z axis of the flange. The common normal of two
 successive axes A and B has a direction x, a foot on each axis, a length a, and an angle alpha from
 A to B about x. Free parameters are chosen as usual:
 
-- Of x and its opposite, with negative a and alpha, the one closer to the previous x is chosen, so
-  that offsets of theta are from -90 to 90 degrees (hence a = -0.0825 for the Panda).
-- If axes are parallel, the normal contains the foot of the previous normal on A.
-- If axes coincide, the same holds, and x is the previous x.
+- The direction x may be reversed, which inverts the signs of a and alpha. The direction closer to
+  the previous x is chosen, so that theta is from -90 to 90 degrees (a = -0.0825 for the Panda).
+- If two axes are parallel, their normal contains the foot of the previous normal on A.
+- If two axes coincide, the same holds, and x is the previous x.
 
-Two successive normals enclose the angle theta about their common axis, and are the distance d apart
+Two successive normals enclose the angle theta about their common axis, and have the distance d
 along it. Row i has alpha and a of the normal before joint i (Craig), or after it (standard).
 """
 
@@ -26,21 +26,21 @@ from ...base.frames import Array, Bools, frame, inverse, rotation_angles
 from .dh import DhTable
 from .joint_tree import JointFrames
 
-_PARALLEL = 1e-9  # rad; larger effects are detected by the check
-_ZERO = 1e-12  # m and rad: rounding
-_TOLERANCE = 1e-9  # m and rad, in every pose of the check
-_POSES = 200
+_PARALLEL = 1e-9  # maximum angle of parallel axes, rad; the final check detects larger effects
+_ZERO = 1e-12  # maximum rounding error of zero, m and rad
+_TOLERANCE = 1e-9  # maximum error in every pose of the final check, m and rad
+_POSES = 200  # number of poses in the final check
 
 
 @dataclass(frozen=True, eq=False)
 class DhChain:
-    """A Denavit-Hartenberg table with the frames needed to replace a chain of joint frames.
+    """A Denavit-Hartenberg table and frames that together replace a chain of joint frames.
 
     Attributes:
-        rows: alpha, a, theta, d per joint, (n, 4), rad and m.
-        base_frame: T_base_0 (4, 4), from the robot's base to frame 0 of the table.
-        flange_frame: T_n_flange (4, 4), from frame n of the table.
-        link_frames: T_i_link (n, 4, 4): the original frame of each link in frame i of the table.
+        rows: alpha, a, theta and d of each joint, shape (n, 4), rad and m.
+        base_frame: pose of frame 0 of the table in the base frame, shape (4, 4), m.
+        flange_frame: pose of the flange in frame n of the table, shape (4, 4), m.
+        link_frames: pose of each original link in frame i of the table, shape (n, 4, 4), m.
     """
 
     convention: Literal["craig", "standard"]
@@ -65,17 +65,18 @@ def dh_from_frames(
     flange_frame: Array | None = None,
     convention: Literal["craig", "standard"] = "craig",
 ) -> DhChain | None:
-    """Returns the table of a serial chain whose joint axes are z of their frames.
+    """Converts a serial chain of joint frames to a Denavit-Hartenberg table.
 
     Returns None if frames of table and chain differ by more than 1e-9 m or rad in any of 200 poses.
-    This happens if axes deviate from parallel by about 1e-6 rad, because their normal is then far
+    This happens if two axes are almost parallel (about 1e-6 rad), because their normal is then far
     away.
 
     Args:
-        joint_frames: T_{i-1,i} of every joint in the frame of the previous joint or base, at zero
-            joint values, (n, 4, 4), m.
-        revolute: False for prismatic joints, (n,).
-        flange_frame: T_n_flange (4, 4) in the frame of the last joint; identity if None.
+        joint_frames: poses T_{i-1,i} of the joints relative to the previous joint or the base, at
+            joint values of zero, shape (n, 4, 4), m. The joint axes are the z axes.
+        revolute: whether each joint is revolute instead of prismatic, shape (n,).
+        flange_frame: pose of the flange in the frame of the last joint, shape (4, 4), m (default:
+            identity).
     """
     flange = np.eye(4) if flange_frame is None else flange_frame
     zero = np.zeros(len(joint_frames))
@@ -83,7 +84,7 @@ def dh_from_frames(
     make = _craig if convention == "craig" else _standard
     rows, T_base_0 = make(at_zero, at_zero[-1] @ flange)
     rows[np.abs(rows) < _ZERO] = 0.0
-    # From the rounded table, so that link frames are exact at zero joint values.
+    # The frames come from the rounded table, so that they are exact at joint values of zero.
     table = DhTable.from_rows(rows, convention, revolute=revolute)
     links = inverse(table.frames(zero, T_base_0)[1:]) @ at_zero[1:]
     chain = DhChain(convention, rows, T_base_0, links[-1] @ flange, links)
@@ -96,7 +97,7 @@ def _craig(at_zero: Array, flange: Array) -> tuple[Array, Array]:
     rows = np.zeros((n, 4))
     for i, normal in enumerate(normals):
         rows[i, :2] = normal.alpha, normal.a
-        if i + 1 < n:  # the last frame is free: it is placed on the last normal
+        if i + 1 < n:  # The last frame is arbitrary, and is placed on the last normal.
             rows[i, 2:] = _screw(normal, normals[i + 1], at_zero[i + 1][:3, 2])
     return rows, _frame_on(at_zero[0][:3, 2], normals[0].x, normals[0].foot_a)
 
@@ -105,7 +106,7 @@ def _standard(at_zero: Array, flange: Array) -> tuple[Array, Array]:
     normals = _normals(np.concatenate([at_zero[1:], flange[None]]))
     rows = np.zeros((len(normals), 4))
     z = at_zero[1][:3, 2]
-    # Frame 0 is free on the first axis: the base's own frame if the axis is its z axis.
+    # Frame 0 is arbitrary on the first axis. It is the base frame if this is the base's z axis.
     is_base = np.abs(z[:2]).max() < _ZERO and np.abs(at_zero[1][:2, 3]).max() < _ZERO and z[2] > 0
     T_base_0 = np.eye(4) if is_base else _frame_on(z, normals[0].x, normals[0].foot_a)
     before = _Normal(T_base_0[:3, 0], T_base_0[:3, 3], T_base_0[:3, 3], 0.0, 0.0)
@@ -128,7 +129,7 @@ def _normals(axes: Array) -> list[_Normal]:
 def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> _Normal:
     """Returns the common normal of axes A and B with directions z_a and z_b.
 
-    `on_a` is the foot of the previous normal, whose direction is `before`, and `on_b` any point.
+    `on_a` is the foot of the previous normal, `before` is its direction, and `on_b` is on B.
     """
     across = np.cross(z_a, z_b)
     between = on_b - on_a
@@ -139,7 +140,7 @@ def _normal(z_a: Array, on_a: Array, z_b: Array, on_b: Array, before: Array) -> 
         x = x if np.linalg.norm(x) > _ZERO else before
     else:
         x = across
-        # on_a + s z_a + a x = on_b + t z_b, solved in the plane perpendicular to x.
+        # This solves on_a + s z_a + a x = on_b + t z_b in the plane perpendicular to x.
         foot_a = on_a + float(np.cross(between, z_b) @ across) / sine**2 * z_a
     x = _at_right_angles(x, z_a)
     x = x * _nearer(x, before, z_a)
@@ -175,7 +176,7 @@ def _frame_on(z: Array, x: Array, origin: Array) -> Array:
 
 
 def _agrees(chain: DhChain, joint_frames: Array, revolute: Bools, flange: Array) -> bool:
-    # Spread over the ranges as random ones are; numpy.random takes 15 ms to import.
+    # These values are distributed like random ones, and numpy.random takes 15 ms to import.
     q = np.sin(np.outer(np.arange(_POSES), np.sqrt(np.arange(len(joint_frames)) + 1.5)))
     q *= np.where(revolute, np.pi, 1.0)
     table = DhTable.from_rows(chain.rows, chain.convention, revolute=revolute)

@@ -1,7 +1,7 @@
-"""`JointTree`: kinematics of a tree of joints in numpy, independent of MuJoCo.
+"""`JointTree`: kinematics of a tree of joints in NumPy, independent of MuJoCo.
 
-Frame 0 is the base, frame i that of the link moved by joint i. The parent p(i) < i of each joint is
-a link or the base: T_0,i = T_0,p(i) T_p(i),i(q_i). A serial robot has p(i) = i - 1.
+Frame 0 is the base frame, and frame i is the frame of the link that joint i moves. Joint i has the
+parent frame p(i) < i, and T_0,i = T_0,p(i) T_p(i),i(q_i). A serial robot has p(i) = i - 1.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ from ...base.frames import (
 
 
 class JointTree(ABC):
-    """Kinematics of n joints.
+    """Kinematics of a robot with n joints that form a chain or a tree.
 
     Attributes:
-        revolute: False for prismatic joints, (n,).
-        sign: -1 for joints that rotate against their z axis, those of a mirrored robot, else 1,
-            (n,). None if all are 1.
-        parents: index of the parent frame of each joint, (n,): 0 for the base, i for link i. None
-            for a serial robot: 0 to n - 1.
-        root: T_base_0, (4, 4): frame of the first row of the table; None for the base frame.
+        revolute: whether each joint is revolute instead of prismatic, shape (n,).
+        sign: -1 for joints that rotate in the negative direction about their z axis, as in a
+            mirrored robot, and 1 for others, shape (n,). None if all signs are 1.
+        parents: index of the parent frame of each joint, shape (n,), 0 for the base and i for link
+            i. None for a serial robot, whose indices are 0 to n - 1.
+        root: pose of frame 0 of the table in the base frame, shape (4, 4), m; None if equal.
     """
 
     revolute: Bools
@@ -46,23 +46,26 @@ class JointTree(ABC):
 
     @abstractmethod
     def transforms(self, joint_values: Array) -> Array:
-        """Returns T_p(i),i without `root`, (..., n, 4, 4), for values (..., n) times `signs`."""
+        """Returns poses of the links in their parent frames, shape (..., n, 4, 4), without `root`.
+
+        `joint_values` contains the joint values multiplied by `signs`, shape (..., n), rad or m.
+        """
 
     @abstractmethod
     def step_lengths(self) -> Array:
-        """Returns the lengths from joint to joint along the table's offsets, (n,), m."""
+        """Returns distances to the parent frame along the offsets of the table, shape (n,), m."""
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
-        """Returns the distances between each origin and its parent's, (..., n), m."""
+        """Returns distances between the origins of each frame and its parent, shape (..., n), m."""
 
     @abstractmethod
     def mirrored(self) -> Self:
-        """Returns the mirror image at the xz plane of the base: S T S, S = diag(1, -1, 1, 1)."""
+        """Returns the kinematics mirrored at the xz plane of the base, S T S for each frame T."""
 
     @property
     def turns_in_carrier(self) -> bool:
-        """Whether axes are z of the parent frame (standard DH), not of the link's own frame."""
+        """Whether joint axes are z axes of the parent frames, as in the standard DH convention."""
         return False
 
     def __len__(self) -> int:
@@ -78,7 +81,7 @@ class JointTree(ABC):
 
     @cached_property
     def moves(self) -> Bools:
-        """Whether each frame is moved by each joint, (n + 1, n)."""
+        """Mask of the joints that move each frame, shape (n + 1, n)."""
         moves = np.zeros((len(self) + 1, len(self)), bool)
         for i, parent in enumerate(self.carriers):
             moves[i + 1] = moves[parent]
@@ -86,20 +89,20 @@ class JointTree(ABC):
         return moves
 
     def path_lengths(self, steps: Array) -> Array:
-        """Returns the sums of steps (n,) from the base to every frame, (n + 1,)."""
+        """Returns the sums of `steps` (n,) from the base to each frame, shape (n + 1,)."""
         return np.asarray(self.moves @ steps)
 
     @property
     def depths(self) -> Ints:
-        """Number of joints between the base and each link, (n,)."""
+        """Number of joints between the base and each link, shape (n,)."""
         return np.asarray(self.moves[1:].sum(axis=1))
 
     def link_transforms(self, joint_angles: ArrayLike) -> Array:
-        """Returns T_p(i),i, (..., n, 4, 4), including `root`, for joint angles (..., n)."""
+        """Returns poses of the links in their parent frames, shape (..., n, 4, 4), with `root`."""
         q = np.asarray(joint_angles, dtype=np.float64)
         if q.shape[-1:] != (len(self),):
             raise Problem(
-                "joint_angles", f"found {q.shape}", expected=f"{len(self)} in the last axis"
+                "joint_angles", f"found shape {q.shape}", expected=f"{len(self)} in the last axis"
             ).error()
         T = self.transforms(q if self.sign is None else q * self.sign)
         if self.root is not None:
@@ -108,11 +111,11 @@ class JointTree(ABC):
         return T
 
     def frames(self, joint_angles: ArrayLike, base_frame: ArrayLike | None = None) -> Array:
-        """Returns T_world_i for i = 0 (the base) to n, (..., n + 1, 4, 4), translation in m.
+        """Returns the poses of the base and of all links, shape (..., n + 1, 4, 4), in m.
 
         Args:
-            joint_angles: joint values (..., n), rad or m.
-            base_frame: T_world_base (..., 4, 4); identity if None.
+            joint_angles: joint values, shape (..., n), rad or m.
+            base_frame: pose of the base, shape (..., 4, 4), m (default: identity).
         """
         links = self.link_transforms(joint_angles)
         base = np.eye(4) if base_frame is None else np.asarray(base_frame)
@@ -124,7 +127,7 @@ class JointTree(ABC):
         return T
 
     def frame(self, link: int, joint_angles: ArrayLike) -> Array:
-        """Returns T_base_link of one frame, (..., 4, 4); link 0 is the base, -1 the last link."""
+        """Returns the pose of a link (0 for the base) in the base frame, shape (..., 4, 4), m."""
         links = self.link_transforms(joint_angles)
         joints = self.moves[link].nonzero()[0].tolist()
         if not joints:
@@ -136,7 +139,7 @@ class JointTree(ABC):
 
     @property
     def axis_frames(self) -> Array:
-        """Frames of joint axes in link frames, (n, 4, 4); joint values increase along z."""
+        """Poses of joint axes in link frames, shape (n, 4, 4). Joint values increase along z."""
         T = np.tile(np.eye(4), (len(self), 1, 1))
         if self.turns_in_carrier:
             T = inverse(self.link_transforms(np.zeros(len(self))))
@@ -146,10 +149,12 @@ class JointTree(ABC):
         return np.asarray(np.where(self.signs[:, None, None] > 0, T, T @ _TURNED))
 
     def joint_axes(self, frames: Array) -> tuple[Array, Array]:
-        """Returns a direction (..., n, 3) and a point (..., n, 3), m, of every joint axis.
+        """Returns directions and points (in m) of all joint axes, both with shape (..., n, 3).
 
-        `frames` is a result of `frames()`, and determines the coordinates. Joint values increase
-        about or along the direction.
+        Joint values increase about or along these directions.
+
+        Args:
+            frames: poses of the base and the links, which the method `frames` returns.
         """
         own = frames[..., 1:, :, :]
         if self.turns_in_carrier:
@@ -165,15 +170,16 @@ class JointTree(ABC):
         flange_frame: ArrayLike | None = None,
         link: int = -1,
     ) -> Array:
-        """Returns the geometric Jacobian of the flange's origin in the world, (..., 6, n).
+        """Returns the geometric Jacobian of the flange in world coordinates, shape (..., 6, n).
 
-        Rows 0 to 2 are the linear velocity (m per rad or m), rows 3 to 5 the angular velocity.
+        Rows 0 to 2 refer to the linear velocity of the flange's origin, rows 3 to 5 to the angular
+        velocity.
 
         Args:
-            joint_angles: joint values (..., n), rad or m.
-            base_frame: T_world_base (4, 4); identity if None.
-            flange_frame: T_link_flange (4, 4); identity if None.
-            link: index of the frame that carries the flange.
+            joint_angles: joint values, shape (..., n), rad or m.
+            base_frame: pose of the base, shape (4, 4), m (default: identity).
+            flange_frame: pose of the flange in the link frame, shape (4, 4), m (default: identity).
+            link: index of the link that carries the flange.
         """
         T = self.frames(joint_angles, base_frame)
         axis, point = self.joint_axes(T)
@@ -191,13 +197,13 @@ _TURNED = np.diag([1.0, -1.0, -1.0, 1.0])
 
 @dataclass(frozen=True, eq=False)
 class JointFrames(JointTree):
-    """A tree of joints with individual frames, as in URDF and MJCF.
+    """The kinematics of joints with individual frames, as in URDF and MJCF.
 
     T_p(i),i(q) = F_i Rz(q), or F_i Tz(q) for a prismatic joint.
 
     Attributes:
-        fixed: F, frame of every link in its parent at joint value zero, (n, 4, 4), m; z is the
-            joint axis.
+        fixed: poses F_i of the links in their parent frames at joint value zero, shape (n, 4, 4),
+            m. The joint axes are the z axes.
     """
 
     fixed: Array
@@ -234,24 +240,23 @@ class JointFrames(JointTree):
 
 @dataclass(frozen=True, eq=False)
 class PlanarBase:
-    """A base that moves in a plane, at x, y (m) and yaw (rad).
+    """The plane in which a robot base moves, with coordinates x and y (m) and yaw (rad).
 
     Attributes:
-        frame: T_world_base (4, 4) at zero, m.
-        axes: two directions of motion and the normal of the plane, right-handed, in the base
-            frame, (3, 3).
+        frame: pose of the base at zero coordinates, shape (4, 4), m.
+        axes: x and y directions and normal of the plane in the base frame, as rows, shape (3, 3).
     """
 
     frame: Array
     axes: Array
 
     def pose(self, at: Array) -> Array:
-        """Returns T_world_base (4, 4) at x, y and yaw, (3,)."""
+        """Converts x, y and yaw, shape (3,), to the pose of the base, shape (4, 4)."""
         turned = self.axes.T @ rotation_about(2, at[2]) @ self.axes
         return np.asarray(self.frame @ frame(turned, at[:2] @ self.axes[:2]))
 
     def place(self, T_world_base: Array) -> Array:
-        """Returns x, y and yaw (3,) of a pose (4, 4) in the plane, the inverse of `pose`."""
+        """Converts a pose of the base, shape (4, 4), to x, y and yaw. This inverts `pose`."""
         T = inverse(self.frame) @ T_world_base
         turned = self.axes @ T[:3, :3] @ self.axes.T
         return np.append(self.axes[:2] @ T[:3, 3], np.arctan2(turned[1, 0], turned[0, 0]))

@@ -37,8 +37,8 @@ from .robot_models import RobotModels
 # Of 20,000 random poses of an LWR, a Puma 560 and a Panda, none with more than 1 % of the maximum
 # manipulability has a pivot below 8e-6, so the null space is exact there.
 _BLOCKED = 5e-6
-_LIMP = 1e-4  # for the damping, which must also suit the poses near the one of its design
-_MIN_STIFFNESS = 1.0  # Nm/rad; a null space with less stiffness is damped as if it had this one
+_LIMP = 1e-4  # minimum for the design of the damping, which must also suit nearby poses
+_MIN_STIFFNESS = 1.0  # minimum stiffness for which the null space is damped, Nm/rad
 # Maxima of sliders, N/m and Nm/rad.
 _SLIDER_TRANSLATION, _SLIDER_ROTATION, _SLIDER_NULLSPACE = 5000.0, 300.0, 200.0
 
@@ -51,23 +51,24 @@ def _stiffness(value: Any) -> Any:
         shape = " x ".join(map(str, array.shape)) or "one number"
         raise ValueError(f"found {shape}; expected 6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6")
     if np.abs(array - array.T).max() > 1e-9 * max(np.abs(array).max(), 1.0):
-        raise ValueError("found a matrix that is not symmetric; expected a symmetric one")
+        raise ValueError("found a matrix that is not symmetric; expected a symmetric matrix")
     lowest = float(np.linalg.eigvalsh(array).min())
     if lowest < -1e-9 * max(np.abs(array).max(), 1.0):
-        raise Problem("", "found an eigenvalue of", found=lowest, expected="none below 0").error()
+        expected = "no negative eigenvalue"
+        raise Problem("", "found an eigenvalue of", found=lowest, expected=expected).error()
     return array
 
 
 class CartesianImpedance(ControllerDeclaration):
-    """Pulls the flange to a target pose, and the null space to a posture, by springs and dampers.
+    """Pulls the flange to a target pose and the null space to a posture with springs and dampers.
 
     Attributes:
-        stiffness: six numbers, N/m along and Nm/rad about x, y and z, or a symmetric 6x6 matrix.
-        damping: ratio; one number.
-        axes: the axes of the stiffness: `world`, or those of the target pose (`flange`).
-        nullspace_stiffness: Nm/rad per joint, towards the posture of the target.
-        nullspace_damping: ratio per joint; without stiffness, the damping is that of 1 Nm/rad.
-        damping_every: s between two designs of the damping matrices.
+        stiffness: stiffness along (N/m) and about (Nm/rad) x, y and z, or a symmetric 6x6 matrix.
+        damping: damping ratio of the flange.
+        axes: axes of the stiffness: `world`, or `flange` for the axes of the target pose.
+        nullspace_stiffness: stiffness toward the posture of the target, Nm/rad per joint.
+        nullspace_damping: damping ratio of the null space per joint, for at least 1 Nm/rad.
+        damping_every: time between two designs of the damping matrices, s.
     """
 
     needs_pose: ClassVar[bool] = True
@@ -121,7 +122,7 @@ class CartesianImpedance(ControllerDeclaration):
 
 
 class CartesianImpedanceController(Controller):
-    """tau = J^T (f + D (dx_d - J dq) + wrench) + tau_null + g(q) + tau_target.
+    """Control law tau = J^T (f + D (dx_d - J dq) + wrench) + tau_null + g(q) + tau_target.
 
     f is the negative gradient of the energy V = 1/2 e^T K e (Hogan 1985, Impedance Control: An
     Approach to Manipulation). e contains the vector to the target and -2 times the vector part of
@@ -145,12 +146,13 @@ class CartesianImpedanceController(Controller):
     therefore bounded, and the blocked direction has no stiffness and belongs to the null space.
 
     Args:
-        stiffness: K, (6, 6) or (m, 6, 6), symmetric, N/m and Nm/rad.
-        damping: ratio, a number or (m, 1).
-        timestep: s between two calls.
-        in_flange: whether K is in the axes of the target, instead of the world.
-        nullspace_stiffness: stiffness in the null space (n,) or (m, n), Nm/rad.
-        damping_every: s.
+        stiffness: symmetric stiffness matrix K, shape (6, 6) or (m, 6, 6), N/m and Nm/rad.
+        damping: damping ratio of the flange, scalar or shape (m, 1).
+        timestep: time between two calls, s.
+        in_flange: whether K is in the axes of the target instead of the world.
+        nullspace_stiffness: stiffness in the null space, shape (n,) or (m, n), Nm/rad.
+        nullspace_damping: damping ratio in the null space, shape (n,) or (m, n).
+        damping_every: time between two designs of the damping, s.
     """
 
     def __init__(
@@ -174,11 +176,11 @@ class CartesianImpedanceController(Controller):
         self._left = 0  # steps until the next design of the damping
         self._null_stiffness, self._null_ratio = nullspace_stiffness, nullspace_damping
         self._null_damping: Array = np.zeros((*model.rows, n))
-        self._compliance: Array | None = None  # of elastic joints, see `hold_links`
+        self._compliance: Array | None = None  # compliance of elastic joints, see `hold_links`
         self._share: Array = np.ones((*model.rows, 1))
         self._arrange(n, model.rows)
         self._null_gains[..., :n] = nullspace_stiffness[..., None] * np.eye(n)
-        vectors = np.array([0, 1, 2, 4, 5, 6])  # of a pure quaternion the scalar is zero
+        vectors = np.array([0, 1, 2, 4, 5, 6])  # the scalar of a pure quaternion is zero
         signed = self.stiffness * ([1.0] * 3 + [-2.0] * 3)
         self._spring[..., vectors[:, None], vectors] = signed
 
@@ -208,8 +210,8 @@ class CartesianImpedanceController(Controller):
         )
 
     def _arrange(self, n: int, rows: tuple[int, ...]) -> None:
-        # numpy calls, new arrays and new views take longer than the computation. Therefore sums of
-        # products are products of block matrices, and all views are made once:
+        # NumPy calls, new arrays and new views take longer than the computation. Therefore sums of
+        # products are computed as products of block matrices, and all views are made once:
         #
         #     tau_0  = null_gains   [q_0 - q; P^T dq]                    with [K_0 -D_0]
         #     wrench = wrench_gains [dx_d - J dq; f; L J M^-1 tau_0]     with [D 1 -1]
@@ -313,7 +315,7 @@ class CartesianImpedanceController(Controller):
             self._rest += self._gravity
 
     def spring_wrench(self, target: Target) -> Array:
-        """Returns f, (6,), N and Nm in world axes, for the last update of the model.
+        """Returns the spring wrench f in world axes at the model's last update, (6,), N and Nm.
 
         With the unit quaternion (w, v) from the target to the flange, w >= 0, the torque is
         (w + S(v)) f_r: the derivative of v with respect to rotations, and the vector part of the

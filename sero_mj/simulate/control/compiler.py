@@ -19,14 +19,15 @@ from .robot_model import RobotModel
 T = TypeVar("T")
 
 # Sizes of the caches. A sweep over masses compiles new worlds in every run. Robot models are small,
-# and every run needs those of all robots of its scene.
+# and every run needs the models of all robots of its scene.
 _MAX_WORLDS, _MAX_ROBOTS = 8, MOST_ENTRIES["robots"]
 
 
 class Compiler:
-    """Compiles dynamic worlds and robot models, and returns copies of those in its cache.
+    """Compiles dynamic worlds and robot models, caches them, and returns copies.
 
-    The key is the declaration of robots, objects and floor. Changes of mesh files are not detected.
+    The cache key consists of the declarations of robots, objects and floor. Changes of mesh files
+    are not detected.
     """
 
     def __init__(self) -> None:
@@ -68,7 +69,7 @@ def _find(cache: dict[object, T], key: object, make: Callable[[], T], max_size: 
 
 
 def fingerprint(value: Any) -> object:
-    """A hashable value that is equal for equal declarations."""
+    """Returns a hashable value that is equal for equal declarations."""
     if isinstance(value, Declaration):
         fields = type(value).model_fields
         return type(value).__name__, tuple(fingerprint(getattr(value, key)) for key in fields)

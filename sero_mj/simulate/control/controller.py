@@ -40,7 +40,7 @@ def _one_or_more(value: Any) -> Any:
 
 
 def within(low: float, high: float, unit: str = "", note: str = "") -> AfterValidator:
-    """Returns a validator for a range in `unit`. Its error message ends with `note`."""
+    """Returns a validator for a range of values. Its error message contains `unit` and `note`."""
     unit = unit and f" {unit}"
 
     def validate(array: Array) -> Array:
@@ -62,26 +62,27 @@ SOFTEST = 0.8
 
 
 class Sensed:
-    """The measurements of the sensors of one robot, in arrays that are updated in place.
+    """Sensor measurements of one robot, in arrays that are updated in place.
 
     Args:
-        values: array (3, n), C-contiguous float64; used without a copy.
-        motor_state: motor angles and velocities of elastic joints (2n,), used without a copy; None
-            for rigid joints, whose motor state is that of the links.
-        rows: shape of the first axes of all arrays: () for one robot, (m,) for m robots.
+        values: array of all measurements, shape (3, n), C-contiguous float64, used without a copy.
+        motor_state: array of motor angles and velocities of elastic joints, shape (2n,), used
+            without a copy. For rigid joints it is None, and the links' state is used.
+        rows: leading shape of all arrays: () for one robot, (m,) for m robots.
 
     Attributes:
         time: time since the start, s.
-        values: angles, velocities and torques, (3, n); the next four are views of it.
-        state: angles, then velocities, (2n,).
-        angles: joint values (n,), rad or m.
-        velocities: joint velocities (n,), rad/s or m/s.
-        torques: torques on the link side of the gears (n,), Nm or N.
-        motor_state: motor angles, then motor velocities (2n,), on the link side of the gears.
-            Springs and dampers must act on them. If they acted on the links, the control would not
-            be passive, because elastic joints are between the motors and the links (Ott 2008).
-        motor_angles: a view of `motor_state`, (n,).
-        motor_velocities: a view of `motor_state`, (n,).
+        values: joint angles, velocities and torques, shape (3, n). The next four attributes are
+            views of this array.
+        state: joint angles, then joint velocities, shape (2n,).
+        angles: joint angles, shape (n,), rad or m.
+        velocities: joint velocities, shape (n,), rad/s or m/s.
+        torques: torques on the link side of the gears, shape (n,), Nm or N.
+        motor_state: motor angles, then motor velocities, on the link side of the gears, shape
+            (2n,). A controller's springs and dampers must act on the motors. Otherwise it would not
+            be passive, because elastic joints are between motors and links (Ott 2008).
+        motor_angles: motor angles, shape (n,), a view of `motor_state`.
+        motor_velocities: motor velocities, shape (n,), a view of `motor_state`.
 
     Raises:
         ValueError: `values` has another shape, type or memory layout.
@@ -123,23 +124,25 @@ class Sensed:
 
 
 class Target:
-    """The target of one robot; controllers read what they need and ignore the rest.
+    """The target of one robot. Each controller uses the values that it needs.
 
     Write to the arrays in place (`target.angles[:] = ...`).
 
     Attributes:
-        motion: angles, velocities and accelerations, (3, n); the next three are views of it.
-        angles: joint values (n,), rad or m.
-        velocities: joint velocities (n,), rad/s or m/s.
-        accelerations: joint accelerations (n,), rad/s2 or m/s2.
-        torques: torques (n,), Nm or N, to be added to the torques of the controller.
+        motion: joint angles, velocities and accelerations, shape (3, n). The next three attributes
+            are views of this array.
+        angles: joint angles, shape (n,), rad or m.
+        velocities: joint velocities, shape (n,), rad/s or m/s.
+        accelerations: joint accelerations, shape (n,), rad/s2 or m/s2.
+        torques: torques to be added to those of the controller, shape (n,), Nm or N.
         has_torques: whether `torques` and `wrench` are added. False is faster if both are zero.
-        pose: T_world_flange, (4, 4), m; the next two are views of it.
-        position: position of the flange (3,), m.
-        rotation: rotation matrix of the flange (3, 3).
-        twist: twist of the flange in world axes (6,): m/s, then rad/s.
-        wrench: force and torque that the robot exerts at the flange, in world axes (6,): N, Nm.
-        posture: target angles of the null space, (n,), rad or m.
+        pose: flange pose T_world_flange, shape (4, 4), m. The next two attributes are views of it.
+        position: position of the flange, shape (3,), m.
+        rotation: rotation matrix of the flange, shape (3, 3).
+        twist: twist of the flange in world axes, shape (6,), m/s, then rad/s.
+        wrench: force and torque that the robot exerts at the flange, in world axes, shape (6,), N,
+            then Nm.
+        posture: target joint angles of the null space, shape (n,), rad or m.
     """
 
     def __init__(self, n: int, rows: tuple[int, ...] = ()) -> None:
@@ -159,7 +162,7 @@ class Target:
         self.rotation: Array = pose[..., :3, :3]
 
     def part(self, row: int, joints: slice) -> Target:
-        """Returns the target of one robot of a row.
+        """Returns the target of one robot in a row.
 
         Its arrays are views, except for pose, twist and wrench if the row has other robots.
         """
@@ -179,7 +182,7 @@ class Target:
 
 
 class Controller:
-    """Base of controllers. Any object with the method `torques` is a controller, too.
+    """Base class of controllers. Any object with the method `torques` is also a controller.
 
     For example::
 
@@ -188,10 +191,10 @@ class Controller:
                 out[:] = 5.0 * np.sin(sensed.time)
 
     All other methods and attributes are optional and have the defaults of this class.
-    `ControllerDeclaration` describes the first three.
+    `ControllerDeclaration` describes `needs_target`, `needs_pose` and `may_be_probed`.
 
     Attributes:
-        logged: values of the columns that `ControllerDeclaration.logged` names.
+        logged: values of additional log columns, which `ControllerDeclaration.logged` names.
         spans_robots: whether `joined` supports several robots per row.
     """
 
@@ -205,45 +208,45 @@ class Controller:
 
     @property
     def commanded_angles(self) -> Array | None:
-        """Angles that the log stores as the target of the robot, (n,), rad or m, or None."""
+        """Angles that the log stores as the robot's target, shape (n,), rad or m, or None."""
         return None
 
     @property
     def group(self) -> tuple[object, ...] | None:
-        """Key that controllers share if `joined` supports them; None if it does not."""
+        """Key that is equal for controllers that `joined` can join; None if it cannot join any."""
         return None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the motor torques of this step to `out`, (n,), Nm or N.
+        """Writes the motor torques of this step to `out`, shape (n,), Nm or N.
 
         `out` contains the torques of the last step. `sensed` and `target` must not be changed.
         """
         raise NotImplementedError
 
     def hold_links(self, joint_stiffness: Array) -> Array | None:
-        """Prepares the controller for elastic joints of a stiffness, (n,), Nm/rad or N/m.
+        """Prepares the controller for elastic joints with a stiffness, shape (n,), Nm/rad or N/m.
 
-        Returns an array (n,), Nm or N, to which the controller writes in every step the torques
-        that it commands at rest; `StaticDeflection` computes the resting angles of the links from
-        it. Returns None if these torques are those of gravity.
+        Returns an array, shape (n,), Nm or N, to which the controller writes the torques that it
+        would command at rest, in every step. `StaticDeflection` computes resting link angles from
+        them. Returns None if these torques are the gravity torques.
         """
         return None
 
     def check(self, angles: Array) -> None:
-        """Raises DeclarationError if the gains are unstable at the initial angles, (n,)."""
+        """Raises DeclarationError if the gains are unstable at the initial angles, shape (n,)."""
 
     def take_over(self, before: Any) -> None:
         """Copies the state, such as an integral, of the previous controller of the same class."""
 
     def begin(self, which: Bools) -> None:
-        """Resets some of the rows, (m,)."""
+        """Resets the rows that a mask selects, shape (m,)."""
 
     def close(self) -> None:
         """Ends programs and connections that the controller has started."""
 
     @classmethod
     def joined(cls, each: Sequence[Any], robots: int, model: RobotModels) -> Controller:
-        """Joins controllers of one `group` that have made no step, row by row."""
+        """Joins unused controllers with the same `group`, which are listed row by row."""
         raise NotImplementedError
 
 
@@ -276,10 +279,10 @@ class Slider:
 
     Attributes:
         value: current value.
-        maximum: the minimum is 0.
+        maximum: maximum value. The minimum is 0.
         text: printf format of the value, for example `%.1f Nm s/rad`.
-        fields: returns the changed fields of the declaration for a value.
-        describe: formats these fields for a message.
+        fields: function that returns the changed fields of the declaration for a value.
+        describe: function that formats these fields for a message.
         tip: tooltip.
         group: label of the collapsible group that contains the slider; empty for none.
     """
@@ -295,7 +298,7 @@ class Slider:
 
 
 def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
-    """Returns a function that formats the range of the numbers of a field."""
+    """Returns a function that formats the range of the numbers in a field."""
 
     def text(fields: Mapping[str, Any]) -> str:
         array = np.atleast_1d(fields[key])
@@ -307,7 +310,7 @@ def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
 
 
 class ControllerDeclaration(Declaration, ABC):
-    """Base of the declarations of controllers, one class for each kind.
+    """Base class of controller declarations, with one subclass for each kind.
 
     A kind is an entry point in the group `sero_mj.controllers`. Its class has a field `kind`, a
     `Literal` of that name, and fields for its gains. A field with a number per joint accepts one
@@ -322,7 +325,7 @@ class ControllerDeclaration(Declaration, ABC):
         may_be_probed: whether torques may be computed for states outside of a run, in order to
             determine the gains of the controller.
         logged: names of additional log columns, whose values are in `Controller.logged`.
-        title: name in the list of controllers; `kind` if empty.
+        title: name in the list of controllers (default: `kind`).
         short: alternative name on the command line; empty for none.
         order: position in the list of controllers; built-in controllers have 10 to 90.
     """
@@ -352,11 +355,11 @@ class ControllerDeclaration(Declaration, ABC):
 
     @property
     def origin(self) -> FileOrigin | None:
-        """The file of the declaration; None if it was made in Python."""
+        """File that contains the declaration; None if it was made in Python."""
         return self._origin
 
     def set_origin(self, origin: FileOrigin) -> None:
-        """Sets the file of the declaration, and whether that file is trusted."""
+        """Sets the file that contains the declaration, and whether this file is trusted."""
         self._origin = origin
 
     def actions(self, key: str = "") -> list[RequestedAction]:
@@ -371,11 +374,11 @@ class ControllerDeclaration(Declaration, ABC):
 
     @abstractmethod
     def make(self, model: RobotModel, timestep: float) -> Controller:
-        """Makes the controller, without torque limits.
+        """Returns the controller, without torque limits.
 
         Args:
-            model: the controller's own model of the robot; not shared.
-            timestep: s between two calls.
+            model: robot model that only this controller uses.
+            timestep: time between two calls, s.
 
         Raises:
             DeclarationError: the gains do not fit the joints of the robot.
@@ -385,8 +388,8 @@ class ControllerDeclaration(Declaration, ABC):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         """Returns the initial controller of a robot in live control, with default gains.
 
-        Returns None if users cannot choose this kind there, for example because gains have no
-        defaults.
+        Returns None if this kind is not available in live control, for example because gains have
+        no defaults.
         """
         needed = any(field.is_required() for field in cls.model_fields.values())
         return None if needed else cls()
@@ -400,21 +403,21 @@ class ControllerDeclaration(Declaration, ABC):
         return []
 
     def changed(self, fields: Mapping[str, Any]) -> Self:
-        """Returns a copy with other gains; raises DeclarationError if they are not valid."""
+        """Returns a copy with changed gains. Raises DeclarationError if they are invalid."""
         declared = {key: getattr(self, key) for key in self.model_fields_set}
         changed = type(self)(**{**declared, **fields})
         changed._origin = self._origin
         return changed
 
     def per_joint(self, key: str, n: int) -> Array:
-        """Returns a field as an array (n,); raises DeclarationError as `per_joint`."""
+        """Returns a field as an array, shape (n,). Raises DeclarationError for a wrong length."""
         return per_joint(key, np.asarray(getattr(self, key)), n)
 
 
 def per_joint(key: str, value: Array, n: int) -> Array:
-    """Expands one number, or n, to (n,); raises DeclarationError for another number of entries."""
+    """Expands 1 or n numbers to shape (n,). Raises DeclarationError for another length."""
     if len(value) not in (1, n):
         raise Problem(
-            key, found=len(value), of="entries", expected=f"{n}, one per joint, or one for all"
+            key, found=len(value), of="entries", expected=f"{n} (one per joint) or 1 (for all)"
         ).error()
     return np.array(np.broadcast_to(value, n))

@@ -31,9 +31,9 @@ from .controller import (
 from .robot_model import RobotModel
 from .robot_models import RobotModels
 
-MAX_STIFFNESS = 5000.0  # Nm/rad, of the joint impedance controller of the KUKA LWR
+MAX_STIFFNESS = 5000.0  # maximum stiffness of the KUKA LWR's joint impedance controller, Nm/rad
 _PER_LIMIT, _SWINGS = 5.0, 13.0  # 1/rad and 1/s, see `JointImpedance.for_robot`
-# Maxima of sliders: Nm s/rad, a ratio, and a factor of the initial stiffness.
+# Maxima of sliders for the damping (Nm s/rad), damping ratio and factor of the initial stiffness.
 _SLIDER_DAMPING, _SLIDER_RATIO, _SLIDER_STIFFNESS = 50.0, 2.0, 6.0
 
 
@@ -41,7 +41,7 @@ class GravityCompensation(ControllerDeclaration):
     """Compensates gravity, so that the robot can be moved by hand.
 
     Attributes:
-        damping: Nm s/rad or N s/m per joint.
+        damping: viscous damping, Nm s/rad or N s/m per joint.
     """
 
     needs_target: ClassVar[bool] = False
@@ -67,7 +67,7 @@ class Torque(ControllerDeclaration):
     """Commands constant torques in addition to gravity compensation.
 
     Attributes:
-        torques: Nm per joint; the torques of the target are added.
+        torques: constant torques, Nm per joint. The torques of the target are added.
         compensate_gravity: whether gravity torques are added.
     """
 
@@ -80,7 +80,7 @@ class Torque(ControllerDeclaration):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """Returns None: there is nothing to adjust in live control."""
+        """Returns None, because there is nothing to adjust in live control."""
         return None
 
     def make(self, model: RobotModel | RobotModels, timestep: float) -> GravityCompensator:
@@ -96,10 +96,10 @@ class JointImpedance(ControllerDeclaration):
     Attributes:
         at_links: whether the stiffness of elastic joints behind a torque loop acts at the links,
             instead of the motors.
-        stiffness: Nm/rad per joint, 0 to 5000 as on the KUKA LWR.
-        damping: ratio per joint; 0.7 overshoots by 4.6 %, 1 does not overshoot.
+        stiffness: joint stiffness, 0 to 5000 Nm/rad per joint as on the KUKA LWR.
+        damping: damping ratio per joint. 0.7 overshoots by 4.6 %, and 1 does not overshoot.
         feed_forward: whether the torques for the motion of the target are added.
-        damping_every: s between two designs of the damping matrix.
+        damping_every: time between two designs of the damping matrix, s.
     """
 
     at_links: ClassVar[bool] = True
@@ -120,7 +120,7 @@ class JointImpedance(ControllerDeclaration):
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
         """Chooses a stiffness that reaches the torque limit at an error of 0.2 rad (m).
 
-        Without a torque limit, the joint alone would oscillate at 13 rad/s.
+        Without a torque limit, the stiffness makes a single joint oscillate at 13 rad/s.
         """
         bounds = robot.torque_bounds
         by_inertia = _SWINGS**2 * np.diagonal(model.mass())
@@ -178,16 +178,16 @@ class JointImpedance(ControllerDeclaration):
 class JointPosition(JointImpedance):
     """Follows target angles as a stiff joint impedance with feed-forward torques.
 
-    Behind a torque loop, elastic joints have full state feedback: with B, Bt and T of the loop
+    Behind a torque loop, elastic joints have full state feedback. With B, Bt and T of the loop
     (`torque_loop`), the gains are B / Bt K for motor positions, B / Bt D for motor velocities,
     B / Bt - 1 for joint torques and B / Bt T for their derivatives. The targets of the motors
     include the deflection caused by the torques of the motion.
 
     Attributes:
-        stiffness: Nm/rad per joint.
-        damping: ratio per joint.
+        stiffness: joint stiffness, Nm/rad per joint.
+        damping: damping ratio per joint.
         feed_forward: whether the torques for the motion of the target are added.
-        damping_every: s between two designs of the damping matrix.
+        damping_every: time between two designs of the damping matrix, s.
     """
 
     at_links: ClassVar[bool] = False
@@ -202,12 +202,12 @@ class JointPosition(JointImpedance):
 
     @classmethod
     def for_robot(cls, robot: SerialRobot, model: RobotModel) -> Self | None:
-        """Returns None: a robot in live control should yield to forces."""
+        """Returns None, because a robot in live control should yield to forces."""
         return None
 
 
 def damping_slider(ratio: float, value_of: Callable[[float], Any]) -> Slider:
-    """Returns the slider of a field `damping`, a ratio."""
+    """Returns a slider for the field `damping` that contains a damping ratio."""
     return Slider(
         "damping",
         ratio,
@@ -220,11 +220,11 @@ def damping_slider(ratio: float, value_of: Callable[[float], Any]) -> Slider:
 
 
 class GravityCompensator(Controller):
-    """tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
+    """Control law tau = g(q) - d dq + tau_0, or g(q) + tau_0 + tau_target.
 
     Args:
-        damping: d, (n,) or (m, n), Nm s/rad; None for zero.
-        torques: tau_0, (n,) or (m, n), Nm; None for zero.
+        damping: viscous damping d, shape (n,) or (m, n), Nm s/rad (default: 0).
+        torques: constant torques tau_0, shape (n,) or (m, n), Nm (default: 0).
         feed_forward: whether the torques of the target are added.
         compensate_gravity: whether g(q) is added.
     """
@@ -283,27 +283,26 @@ class GravityCompensator(Controller):
 
 
 class JointImpedanceController(Controller):
-    """tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
+    """Control law tau = K (q_d - q) + D (dq_d - dq) + g(q) + tau_target.
 
-    With feed-forward, M(q) ddq_d + C(q, dq) dq_d is added, and the error of a moving target
-    converges as that of a resting target (PD+; Paden and Panja 1988, Globally asymptotically stable
-    'PD+' controller for robot manipulators, Int. J. Control 47). With a resting target, the robot
-    moves as if springs and dampers acted on its own inertia: the energy 1/2 dq M dq + 1/2 e K e
-    decreases by dq D dq (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A Unified Passivity-based
-    Control Framework, IJRR 26). D is designed from M(q) with the motor inertias at intervals of
-    `damping_every`. Between two designs it is constant: any positive semidefinite D dissipates
-    energy.
+    With feed-forward, M(q) ddq_d + C(q, dq) dq_d is added, and the error converges as with a
+    resting target (PD+; Paden and Panja 1988, Globally asymptotically stable 'PD+' controller for
+    robot manipulators, Int. J. Control 47). With a resting target, the robot moves as if springs
+    and dampers acted on its own inertia. The energy 1/2 dq M dq + 1/2 e K e decreases by dq D dq
+    (Hogan 1985; Albu-Schäffer, Ott, Hirzinger 2007, A Unified Passivity-based Control Framework,
+    IJRR 26). D is designed from M(q) with the motor inertias at intervals of `damping_every`.
+    Between two designs it is constant. Any positive semidefinite D dissipates energy.
 
-    If joints are elastic, q and dq are those of the motors, and gravity deflects the links from
-    their targets. Behind a torque loop, q are the resting angles of the links (`StaticDeflection`),
-    so that K acts at the links.
+    If joints are elastic, q and dq are motor angles and velocities, and gravity deflects the links
+    from their targets. Behind a torque loop, q are the resting angles of the links
+    (`StaticDeflection`), so that K acts at the links.
 
     Args:
-        stiffness: the diagonal of K, (n,) or (m, n), Nm/rad.
-        damping: ratio, (n,) or (m, n).
-        timestep: s between two calls.
-        damping_every: s.
-        at_links: whether K acts at the links of elastic joints, instead of the motors.
+        stiffness: diagonal of K, shape (n,) or (m, n), Nm/rad.
+        damping: damping ratio, shape (n,) or (m, n).
+        timestep: time between two calls, s.
+        damping_every: time between two designs of D, s.
+        at_links: whether K acts at the links of elastic joints instead of the motors.
     """
 
     spans_robots = True
@@ -331,7 +330,7 @@ class JointImpedanceController(Controller):
         self.damping: Array = np.zeros((*shape, model.n))
         self._error: Array = np.zeros(shape)
         self._own, self._less = np.zeros((2, *shape))
-        self._times = np.matvec if model.rows else np.dot  # np.dot takes half the time
+        self._times = np.matvec if model.rows else np.dot  # `np.dot` takes half the time
 
     @property
     def group(self) -> tuple[object, ...]:
@@ -365,7 +364,8 @@ class JointImpedanceController(Controller):
                     f"joint {self.model.joint_names[i]}: found",
                     found=own[i],
                     of="Nm/rad",
-                    expected=f"at most {maximum[i]:g}, {100 * SOFTEST:g} % of the elastic joint's",
+                    expected=f"at most {maximum[i]:g}, which is {100 * SOFTEST:g} % of the "
+                    "stiffness of the elastic joint",
                 )
                 for i in np.flatnonzero(own > maximum).tolist()
             ]
@@ -423,38 +423,38 @@ class JointImpedanceController(Controller):
 
             gain = float(stiffness[joint, joint])
             share = largest_share(holds)
-            others = f" and {99 * share:.2g} % of the others" if model.n > 1 else ""
+            others = f" and {99 * share:.2g} % of the other stiffnesses" if model.n > 1 else ""
             up_to = f"up to {0.99 * share * gain:.3g}{others}"
             name = model.joint_names[joint]
             raise too_stiff(name, f" at {gain:g} Nm/rad", self._timestep, up_to)
 
 
 def in_rows(each: Sequence[Array], robots: int) -> Array:
-    """Arranges arrays per joint, of the robots of the first row, the second, ..., as (m, n)."""
+    """Joins arrays per joint, which are listed row by row and robot by robot, to shape (m, n)."""
     rows = range(0, len(each), robots)
     return np.array([np.concatenate(each[row : row + robots]) for row in rows])
 
 
 def diagonal(values: Array) -> Array:
-    """Returns diagonal matrices, (..., n, n)."""
+    """Returns diagonal matrices with diagonals `values`, shape (..., n, n)."""
     return np.asarray(values[..., None] * np.eye(values.shape[-1]))
 
 
 def design_damping(mass: Array, stiffness: Array, ratio: float | Array) -> Array:
     """Returns the damping matrix that gives every mode of mass and stiffness a damping ratio.
 
-    Double diagonalization: M = Q Q^T and K = Q W^2 Q^T with diagonal W, then D = 2 Q Z W Q^T. Each
-    mode then moves as an independent mass-spring-damper: with ratio z a step overshoots by
-    exp(-pi z / sqrt(1 - z^2)), 4.6 % at 0.7. A direction without stiffness has no damping.
+    Double diagonalization yields M = Q Q^T and K = Q W^2 Q^T with diagonal W, and D = 2 Q Z W Q^T.
+    Each mode then moves as an independent mass-spring-damper. With ratio z, a step overshoots by
+    exp(-pi z / sqrt(1 - z^2)), or 4.6 % at 0.7. A direction without stiffness has no damping.
 
     A mode does not belong to one joint. Therefore different ratios scale the entries of the matrix
-    for ratio one by sqrt(z_i z_j): it remains positive semidefinite, so it can only dissipate
-    energy, and the result for equal ratios is exact.
+    for ratio one by sqrt(z_i z_j). The matrix remains positive semidefinite, so it can only
+    dissipate energy, and the result for equal ratios is exact.
 
     Args:
-        mass: mass matrices (..., n, n), symmetric and positive definite.
-        stiffness: stiffness matrices (..., n, n), symmetric and positive semidefinite.
-        ratio: damping ratio, 1 for critical damping; a number, (n,) or (..., n).
+        mass: mass matrices, shape (..., n, n), symmetric and positive definite.
+        stiffness: stiffness matrices, shape (..., n, n), symmetric and positive semidefinite.
+        ratio: damping ratio (1 for critical damping), scalar or shape (n,) or (..., n).
 
     Source: Albu-Schäffer, Ott, Frese, Hirzinger 2003, Cartesian Impedance Control of Redundant
     Robots: Recent Results with the DLR-Light-Weight-Arms, ICRA (double diagonalization design).
@@ -489,7 +489,7 @@ def unstable_joint(mass: Array, stiffness: Array, damping: Array, timestep: floa
 
 
 def largest_share(holds: Callable[[float], bool]) -> float:
-    """Returns the largest share from 0 to 1 for which `holds` is true, within 0.03 %."""
+    """Returns the largest share from 0 to 1 for which `holds` is true, with an error of 0.03 %."""
     low, high = 0.0, 1.0
     for _ in range(12):
         middle = 0.5 * (low + high)
@@ -497,12 +497,14 @@ def largest_share(holds: Callable[[float], bool]) -> float:
     return low
 
 
-def too_stiff(joint: str, gain: str, timestep: float, expected: str = "less") -> DeclarationError:
-    """Returns the error for gains that are unstable, with a text such as ` at 500 Nm/rad`."""
+def too_stiff(
+    joint: str, gain: str, timestep: float, expected: str = "a lower stiffness"
+) -> DeclarationError:
+    """Returns the error for unstable gains. `gain` is a text such as ` at 500 Nm/rad`."""
     return Problem(
         "stiffness",
         f"joint {joint} is unstable{gain} with a time step of",
         found=1000.0 * timestep,
         of="ms",
-        expected=f"{expected}, or a shorter step",
+        expected=f"{expected}, or a shorter time step",
     ).error()

@@ -26,12 +26,12 @@ class LimitedController:
     The torques of the first step are not rate-limited.
 
     Args:
-        limits: torque limits (n,), Nm or N.
-        timestep: s between two calls.
-        rates: maximum rates of the torques (n,), Nm/s or N/s; None for no limit.
+        limits: torque limits, shape (n,), Nm or N.
+        timestep: time between two calls, s.
+        rates: maximum rates of the torques, shape (n,), Nm/s or N/s (default: no limits).
 
     Attributes:
-        requested: torques of the last step before limiting, (n,); updated in place.
+        requested: torques of the last step before the limits, shape (n,); updated in place.
 
     Raises:
         DeclarationError: a limit is not positive, or the number of limits is not n.
@@ -66,7 +66,7 @@ class LimitedController:
     def joined(
         cls, each: Sequence[LimitedController], robots: int, model: RobotModels
     ) -> LimitedController:
-        """Joins controllers of one `Controller.group` that have made no step, row by row."""
+        """Joins unused controllers with the same `Controller.group`, listed row by row."""
         kind = type(each[0].controller)
         controller = kind.joined([one.controller for one in each], robots, model)
         made = cls(controller, np.ones(model.n), 1.0, joint_names=model.joint_names)
@@ -83,7 +83,7 @@ class LimitedController:
         return made
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
-        """Writes the limited torques, (n,).
+        """Writes the limited torques to `out`, shape (n,).
 
         Raises:
             SimulationError: the controller raised an error, or a torque of a single robot is NaN or
@@ -121,19 +121,19 @@ class LimitedController:
 
     @property
     def saturated(self) -> Bools:
-        """Whether the torque of each joint was limited in the last step, (n,)."""
+        """Whether the torque of each joint was limited in the last step, shape (n,)."""
         return np.not_equal(self._commanded, self.requested)
 
     def check(self, angles: Array) -> None:
         self.controller.check(angles)
 
     def is_finite(self, row: int = 0) -> bool:
-        """Whether the sum of squares of a row of requested torques is finite."""
+        """Returns whether the requested torques of a row have a finite sum of squares."""
         requested = self.requested if self.requested.ndim == 1 else self.requested[row]
         return bool(requested.dot(requested) < math.inf)  # detects NaN and inf in any joint
 
     def not_finite(self, sensed: Sensed, row: int = 0) -> SimulationError:
-        """Returns the error for a row that is not finite: of its sensor if that is not finite."""
+        """Returns the error for a row that is not finite, which names its sensor or controller."""
         requested = np.atleast_2d(self.requested)[row]
         measured = sensed.values.reshape(-1, 3, len(requested))[row]
         for values, what in zip(measured, ("angle", "velocity", "torque"), strict=True):
@@ -185,13 +185,13 @@ def make_controller(
     timestep: float,
     torque_limits: Array | None = None,
 ) -> LimitedController:
-    """Makes a controller whose torques are limited to those of its robot.
+    """Returns a controller whose torques are limited to the torque limits of its robot.
 
     Args:
-        controller: a declaration, or any object with the method `torques` of `Controller`.
-        model: the controller's own model of the robot; not shared.
-        timestep: s between two calls.
-        torque_limits: torque limits of the robot (n,), Nm or N; None for no limits.
+        controller: declaration, or any object with the method `torques` of `Controller`.
+        model: robot model that only this controller uses.
+        timestep: time between two calls, s.
+        torque_limits: torque limits of the robot, shape (n,), Nm or N (default: no limits).
 
     Raises:
         DeclarationError: gains or limits do not fit the robot.
@@ -223,8 +223,9 @@ def make_controller(
 
 
 def _lower(own: Array, robots: Array, names: list[str]) -> Array:
+    expected = "up to {:g}, the limit of the robot"
     problems = [
-        Problem("torque_limits", f"joint {name} has", found=a, expected=f"up to {b:g}, the robot's")
+        Problem("torque_limits", f"joint {name} has", found=a, expected=expected.format(b))
         for name, a, b in zip(names, own, robots, strict=True)
         if a > b
     ]

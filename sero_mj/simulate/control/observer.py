@@ -12,7 +12,7 @@ from .robot_models import RobotModels
 
 
 class MomentumObserver:
-    """Estimates external joint torques r(t), which are the true ones after a first-order low pass.
+    """Estimates external joint torques r(t), which follow the true torques with a first-order lag.
 
     With the momentum p = M dq and dp/dt = tau + C^T dq - g + tau_ext, the estimate is
 
@@ -31,13 +31,13 @@ class MomentumObserver:
     are averaged over the step. r is computed implicitly, so every gain is stable.
 
     Args:
-        model: may be shared with a controller that updates it.
-        gain: k, 1/s: one number, (n,) or (m, n).
-        timestep: s between two calls.
+        model: robot model, which may be shared with a controller that updates it.
+        gain: observer gain k, scalar or shape (n,) or (m, n), 1/s.
+        timestep: time between two calls, s.
         motor_side: whether the torques are motor torques.
 
     Attributes:
-        external: the estimate r, (n,) or (m, n), Nm or N; updated in place.
+        external: estimated torques r, shape (n,) or (m, n), Nm or N; updated in place.
 
     Raises:
         ValueError: a gain is not positive.
@@ -60,7 +60,7 @@ class MomentumObserver:
                     "",
                     f"joint {name} has an observer gain of",
                     found=value,
-                    expected="a positive one, 1/s",
+                    expected="a positive gain, 1/s",
                 ).error()
         self.external: Array = np.zeros(shape)
         self._timestep, self._gains = timestep, gains
@@ -75,9 +75,9 @@ class MomentumObserver:
         return self.update_with(sensed.velocities, sensed.torques)
 
     def update_with(self, velocities: Array, torques: Array) -> Array:
-        """Makes one step with a model that was already updated to the velocities.
+        """Makes one step after the model was updated to `velocities`, and returns `external`.
 
-        The torques, (n,), Nm or N, are those of the step that led to this state.
+        `torques`, shape (n,), Nm or N, acted in the step that led to this state.
         """
         momentum, own = self._momentum, self._own
         self.model.write_momentum(momentum, own)

@@ -27,7 +27,7 @@ from .target_motions import (
     TargetMotion,
 )
 
-_EVERY = 0.02  # s between two poses of inverse kinematics
+_EVERY = 0.02  # time between two poses of inverse kinematics, s
 
 
 def target_motion_kinds() -> Mapping[str, type[TargetMotion]]:
@@ -49,8 +49,8 @@ class Plan:
     """The target of one robot at every step.
 
     Attributes:
-        joints: None for no target.
-        flange: None unless the controller or the target motion is Cartesian.
+        joints: motion of the joints; None if there is no target.
+        flange: motion of the flange; None unless the controller or the target is Cartesian.
         moves: whether the target changes during the run.
     """
 
@@ -60,7 +60,7 @@ class Plan:
 
     @cached_property
     def motion(self) -> Array | None:
-        """Angles, velocities and accelerations, (T, 3, n); None for no target."""
+        """Joint angles, velocities and accelerations, shape (T, 3, n); None without a target."""
         of = self.joints
         return (
             None if of is None else np.stack([of.angles, of.velocities, of.accelerations], axis=1)
@@ -87,13 +87,14 @@ def make_plan(
     """Computes the target of a robot for a run.
 
     Joint motions are converted to poses if a Cartesian controller needs them. Motions of the flange
-    are converted to joint angles by inverse kinematics; the angles are displayed, and ensure that
-    the robot can follow.
+    are converted to joint angles by inverse kinematics. The angles are displayed, and they prove
+    that the robot can follow.
 
     Args:
-        target: None to stay at the start or, unless `needs_target`, for no target.
-        times: times of the rows (T,), s.
-        start: initial joint angles, (n,), rad or m; the declared ones if None.
+        target: target motion. If None, the robot stays at the start, or has no target if
+            `needs_target` is false.
+        times: times of the rows, shape (T,), s.
+        start: initial joint angles, shape (n,), rad or m (default: the declared angles).
 
     Raises:
         DeclarationError: the motion leaves the limits or the reach of the robot.
@@ -134,15 +135,15 @@ def _poses(robot: SerialRobot, motion: Motion) -> CartesianMotion:
 def follow_poses(
     motion: CartesianMotion, model: RobotModel, robot: SerialRobot, start: Array
 ) -> Array:
-    """Returns joint angles (T, n) for a motion of the flange, within the position limits.
+    """Returns joint angles for a motion of the flange, within the position limits, shape (T, n).
 
-    Damped least squares (`reach`) computes a pose every 20 ms, starting from the previous one;
-    angles between them are interpolated. This is not a planner: a redundant arm may be stopped by a
-    limit that it would not reach with another position of the elbow.
+    Damped least squares (`reach`) computes a pose every 20 ms, starting from the previous pose. The
+    angles between these poses are interpolated. This is not a planner: a redundant arm may be
+    stopped by a limit that it would not reach with another position of the elbow.
 
     Args:
         model: model of the robot, which this function updates.
-        start: initial angles, (n,), rad or m.
+        start: initial joint angles, shape (n,), rad or m.
 
     Raises:
         DeclarationError: the flange cannot follow. The error states the time, the distance, and the

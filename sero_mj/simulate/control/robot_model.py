@@ -1,7 +1,7 @@
 """`RobotModel`: the kinematics and dynamics that a controller knows of its robot.
 
-It contains no payload and no contact, and the masses that the controller assumes. Other robots
-appear only as the carrier and the load of the robot, see `follow`. Differences from the simulated
+It contains the masses that the controller assumes, but no payload and no contact. Other robots
+appear only as the carrier and the load of the robot (see `follow`). Differences from the simulated
 world have the same effects as on a real robot.
 """
 
@@ -40,27 +40,27 @@ class RobotModel:
     so that dM/dt = C + C^T.
 
     Args:
-        model: provides the masses of the robot, which are copied. Its other robots and contacts,
-            and later payloads, are ignored. Other joints of the robot, such as those of a gripper
-            or of elastic gears, are rigid.
-        joints: ids of the hinge and slide joints of the robot, base to flange.
+        model: MuJoCo model with the masses of the robot, which are copied. Its other robots and
+            contacts, and later payloads, are ignored. Other joints of the robot, such as those of a
+            gripper or of elastic gears, are rigid.
+        joints: ids of the hinge and slide joints of the robot, from base to flange.
         site: id of the site at the flange. Exactly one of `site` and `body` must be given.
         body: id of the body whose frame is the flange frame.
         name: name of the robot in error messages.
 
     Attributes:
-        rows: leading axes of all arrays: () for one robot, see `RobotModels`.
+        rows: leading shape of all arrays, which is () for one robot (see `RobotModels`).
         n: number of joints.
-        joint_names: without the prefix of the robot.
-        position_limits: lower and upper limits (n, 2), rad or m; infinite if unknown.
-        velocity_limits: velocity limits (n,), rad/s or m/s; infinite if unknown.
-        motor_inertia: motor inertias at the joints (n,), on the diagonal of M, kg m2 or kg.
-        flange_position: position of the flange in the world (3,), m; `update` changes it in place.
-        flange_rotation: R_world_flange, (3, 3); updated in place by `update`.
+        joint_names: names of the joints without the prefix of the robot.
+        position_limits: lower and upper limits, shape (n, 2), rad or m; infinite if unknown.
+        velocity_limits: velocity limits, shape (n,), rad/s or m/s; infinite if unknown.
+        motor_inertia: motor inertias at the joints, shape (n,), on the diagonal of M, kg m2 or kg.
+        flange_position: position of the flange in the world, shape (3,), m; `update` changes it.
+        flange_rotation: rotation matrix R_world_flange, shape (3, 3); `update` changes it.
 
     Raises:
-        ValueError: the joints are not joints of one robot in ascending order, or there is not
-            exactly one of `site` and `body`.
+        ValueError: the joints are not joints of one robot in ascending order, or not exactly one of
+            `site` and `body` is given.
     """
 
     rows: tuple[int, ...] = ()
@@ -82,7 +82,9 @@ class RobotModel:
         trees = set(model.body_rootid[model.jnt_bodyid[ids]].tolist())
         kinds = set(model.jnt_type[ids].tolist())
         if ids != sorted(set(ids)) or len(trees) != 1 or not kinds <= types:
-            raise ValueError(f"found joints {ids}; expected those of one robot, base to flange")
+            raise ValueError(
+                f"found joints {ids}; expected the joints of one robot, from base to flange"
+            )
         self.n, self.name = n, name
         names = [model.joint(joint).name for joint in ids]
         self.joint_names = [each.partition("/")[2] or each for each in names]
@@ -94,7 +96,7 @@ class RobotModel:
         self._take_views()
 
     def __copy__(self) -> RobotModel:
-        """Returns an independent model, far quicker than by compiling it again."""
+        """Returns an independent model without compiling it again."""
         made = object.__new__(type(self))
         made.__dict__.update(self.__dict__, _model=copy.copy(self._model))
         made._take_views()
@@ -102,10 +104,10 @@ class RobotModel:
 
     @classmethod
     def side_by_side(cls, models: Sequence[RobotModel], m: int = 1) -> RobotModel:
-        """Returns a model of m times these robots in one world, joint after joint.
+        """Returns a model of m copies of these robots in one world, joint after joint.
 
-        Results that depend on one robot only are identical to the bit: gravity, Coriolis torques,
-        inverse dynamics, momentum. All robots need the same gravity. The model has no flange.
+        Its gravity, Coriolis torques, inverse dynamics and momentum are bitwise identical to those
+        of the single robots. All robots need the same gravity. The model has no flange.
         """
         made = object.__new__(cls)
         made.__dict__.update(models[0].__dict__, n=m * sum(model.n for model in models), _base=None)
@@ -140,8 +142,8 @@ class RobotModel:
         """Makes every `update` move the bases of robots and add the robots that they carry.
 
         Args:
-            mountings: of every robot in the model: its mounting, T_world_base when the model was
-                made, and its number of joints.
+            mountings: for each robot in the model, its mounting, its pose T_world_base when the
+                model was made, and its number of joints.
         """
         self._mounting = mountings[0][0]
         whole = {id(mounting.data): mounting.data for mounting, _, _ in mountings}
@@ -157,7 +159,7 @@ class RobotModel:
         """Returns the model of a declared robot that stands in the world (`mounts.unmounted`).
 
         Args:
-            world: a dynamic world with this robot alone, if it has already been compiled.
+            world: dynamic world with this robot alone, if it has already been compiled.
 
         Raises:
             DeclarationError: MuJoCo cannot compile the robot.
@@ -175,7 +177,7 @@ class RobotModel:
         return made
 
     def update(self, angles: Array, velocities: Array) -> None:
-        """Moves the model to angles and velocities, (n,) each.
+        """Moves the model to joint angles and velocities, shape (n,) each.
 
         The array of velocities is not copied and must not change until the next update.
         """
@@ -191,7 +193,7 @@ class RobotModel:
     def _move(self, velocities: Array) -> tuple[mujoco.MjModel, mujoco.MjData]:
         # mj_rne reads velocities from cvel and cdof_dot. They remain zero in `_data`, so mj_rne
         # computes gravity alone there, and velocities alone in this model, which has no gravity.
-        if self._moving is None:  # not in `_take_views`: it takes as long as 500 steps
+        if self._moving is None:  # not made in `_take_views`, as this takes as long as 500 steps
             weightless = copy.copy(self._model)
             weightless.opt.gravity[:] = 0.0
             self._moving = weightless, mujoco.MjData(weightless)
@@ -202,22 +204,22 @@ class RobotModel:
         return self._moving
 
     def gravity(self, out: Array | None = None) -> Array:
-        """Returns g(q), (n,): the torques that hold the robot still; written to `out` if given."""
+        """Returns the torques g(q), (n,), that hold the robot still, in `out` if it is given."""
         result = self._gravity if out is None else out
         mj_rne(self._model, self._data, 0, result)
         return result
 
     def coriolis(self) -> Array:
-        """Returns C(q, dq) dq, (n,)."""
+        """Returns the Coriolis and centrifugal torques C(q, dq) dq, shape (n,)."""
         mj_rne(*self._move(self._velocities), 0, self._coriolis)
         return self._coriolis
 
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
-        """Writes M_link(q) a + C(q, dq) v + g(q), for tracking, as `torques` minus `less`.
+        """Writes the tracking torques M_link(q) a + C(q, dq) v + g(q) as `torques` minus `less`.
 
-        All arrays are (n,); v and a are `velocities` and `accelerations`.
+        All arrays have shape (n,), and v and a are `velocities` and `accelerations`.
         """
         # C(q, dq) v is linear in dq and in v, and symmetric. So with c(x) = C(q, x) x it is
         # c((dq + v) / 2) - c((dq - v) / 2): two recursive Newton-Euler passes.
@@ -233,8 +235,8 @@ class RobotModel:
         """Writes the momentum of the links and its slope without torques, for an observer.
 
         Args:
-            momentum: to be written: M_link(q) dq, (n,), without the motors.
-            slope: to be written: C(q, dq)^T dq - g(q), (n,).
+            momentum: output array for M_link(q) dq without the motors, shape (n,).
+            slope: output array for C(q, dq)^T dq - g(q), shape (n,).
         """
         # mj_rne sums axis . (inertia x acceleration) over all bodies beyond a joint. With
         # velocities instead of accelerations, the sum is the momentum.
@@ -259,26 +261,26 @@ class RobotModel:
         return self._model, self._data
 
     def mass(self) -> Array:
-        """Returns M(q), (n, n), kg m2 (kg), with the motor inertias on its diagonal."""
+        """Returns the mass matrix M(q) with motor inertias, shape (n, n), kg m2 (kg)."""
         mj_fullM(*self.sparse_mass(), self._mass)
         return self._mass
 
     def jacobian(self) -> Array:
-        """Returns J(q), (6, n): dq to the flange's velocity in world axes, m/s, then rad/s."""
+        """Returns the flange's Jacobian J(q) in world axes, shape (6, n), translation first."""
         mj_jacSite(self._model, self._data, self._jacobian[:3], self._jacobian[3:], 0)
         return self._jacobian
 
     def write_task_space(
         self, scale: Array, jacobian: Array, scaled: Array, over_mass: Array, gravity: Array
     ) -> None:
-        """Writes the terms of control of the flange.
+        """Writes the terms that are needed to control the flange.
 
         Args:
-            scale: input: s, a factor for every axis, (6, 1).
-            jacobian: to be written: J(q), (6, n).
-            scaled: to be written: s J, (6, n).
-            over_mass: to be written: s J M^-1, (6, n).
-            gravity: to be written: g(q), (n,).
+            scale: factor s of each axis, shape (6, 1).
+            jacobian: output array for J(q), shape (6, n).
+            scaled: output array for s J, shape (6, n).
+            over_mass: output array for s J M^-1, shape (6, n).
+            gravity: output array for g(q), shape (n,).
         """
         model, data = self.sparse_mass()
         mj_jacSite(model, data, jacobian[:3], jacobian[3:], 0)
@@ -288,11 +290,11 @@ class RobotModel:
         self.gravity(gravity)
 
     def flange(self) -> Array:
-        """Returns T_world_flange, (4, 4), m, in a new array."""
+        """Returns the flange pose T_world_flange in a new array, shape (4, 4), m."""
         return frame(self.flange_rotation, self.flange_position)
 
     def base(self) -> Array:
-        """Returns T_world_base, (4, 4), m, in a new array.
+        """Returns the base pose T_world_base in a new array, shape (4, 4), m.
 
         If the model was not made from a declaration, the base is the body before the first joint.
         """

@@ -13,25 +13,25 @@ from .whole_body import Mounting
 
 
 class RobotModels:
-    """`RobotModel` of several robots in m rows, joint after joint.
+    """Counterpart of `RobotModel` for several robots in m rows, joint after joint.
 
     The robots of all rows are side by side in one MuJoCo model, and one call computes their joint
     torques, in a third of the time per robot. Jacobians are computed row by row, and only for rows
     of one robot.
 
     Args:
-        mountings: for every robot in every row, its mounting and T_world_base when the model was
-            made; empty if no robot is mounted.
+        mountings: for each robot in each row, its mounting and its pose T_world_base when the model
+            was made; empty if no robot is mounted.
 
     Attributes:
-        rows: shape (m,) of the first axis of all arguments and results.
-        n: number of joints of all robots of a row.
+        rows: leading shape (m,) of all arguments and results.
+        n: number of joints of all robots in a row.
         robots: slice of joints of each robot.
-        joint_names: `ROBOT/JOINT`.
-        motor_inertia: motor inertias at the joints (n,), kg m2 or kg.
-        flange_position: positions of the flanges in the world (m, 3), m, from the last
-            `write_task_space`.
-        flange_rotation: R_world_flange, (m, 3, 3), of the last `write_task_space`.
+        joint_names: names of the joints as `ROBOT/JOINT`.
+        motor_inertia: motor inertias at the joints, shape (n,), kg m2 or kg.
+        flange_position: positions of the flanges in the world at the last `write_task_space`, shape
+            (m, 3), m.
+        flange_rotation: rotation matrices R_world_flange at that time, shape (m, 3, 3).
     """
 
     def __init__(
@@ -60,7 +60,7 @@ class RobotModels:
         self._entries: tuple[Array, ...] | None = None
 
     def update(self, angles: Array, velocities: Array) -> None:
-        """Moves the models, (m, n) each; the arrays must not change until the next update."""
+        """Moves the models. The arrays, (m, n) each, must not change until the next update."""
         self._angles, self._velocities = angles, velocities
         self._is_moved = False
 
@@ -71,25 +71,25 @@ class RobotModels:
         return self._all
 
     def gravity(self, out: Array | None = None) -> Array:
-        """Returns g(q), (m, n)."""
+        """Returns the gravity torques g(q), shape (m, n)."""
         result = self._gravity if out is None else out
         result[...] = self._moved().gravity().reshape(result.shape)
         return result
 
     def write_momentum(self, momentum: Array, slope: Array) -> None:
-        """`RobotModel.write_momentum` with arrays (m, n)."""
+        """Like `RobotModel.write_momentum`, with arrays of shape (m, n)."""
         self._moved().write_momentum(momentum.reshape(-1), slope.reshape(-1))
 
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
-        """`RobotModel.write_inverse_dynamics` with arrays (m, n)."""
+        """Like `RobotModel.write_inverse_dynamics`, with arrays of shape (m, n)."""
         self._moved().write_inverse_dynamics(
             velocities.reshape(-1), accelerations.reshape(-1), torques.reshape(-1), less.reshape(-1)
         )
 
     def mass(self) -> Array:
-        """Returns M(q), (m, n, n), zero between two robots, in a new array."""
+        """Returns the mass matrices M(q), zero between two robots, in a new array (m, n, n)."""
         model, data = self._moved().sparse_mass()
         if self._entries is None:
             rows = np.repeat(np.arange(model.nv), model.M_rownnz)
@@ -101,11 +101,11 @@ class RobotModels:
         return mass
 
     def jacobian(self) -> Array:
-        """Returns J(q), (m, 6, n), in a new array."""
+        """Returns the Jacobians J(q) of the flanges in a new array, shape (m, 6, n)."""
         return np.array([model.jacobian().copy() for model in self._each()])
 
     def write_task_space(self, *arrays: Array) -> None:
-        """`RobotModel.write_task_space` with arrays whose first axis is m."""
+        """Like `RobotModel.write_task_space`, with a first axis of m rows in all arrays."""
         poses = self.flange_position, self.flange_rotation
         for model, position, rotation, *row in zip(self._each(), *poses, *arrays, strict=True):
             model.write_task_space(*row)

@@ -32,7 +32,7 @@ _SLACK = 1e-9  # tolerance for targets that just reach a limit
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """Samples of a motion of all joints: times (T,), s, and angles and derivatives, (T, n)."""
+    """Samples of a joint motion: times, shape (T,), s, and angles and derivatives, shape (T, n)."""
 
     times: Array
     angles: Array
@@ -51,10 +51,10 @@ class CartesianMotion:
     """Samples of a motion of the flange.
 
     Attributes:
-        times: times (T,), s.
-        poses: T_world_flange, (T, 4, 4), m.
-        twists: twists (T, 6) in world axes: m/s, then rad/s.
-        accelerations: accelerations (T, 6) in world axes: m/s2, then rad/s2.
+        times: times, shape (T,), s.
+        poses: flange poses T_world_flange, shape (T, 4, 4), m.
+        twists: flange twists in world axes, shape (T, 6), m/s, then rad/s.
+        accelerations: flange accelerations in world axes, shape (T, 6), m/s2, then rad/s2.
     """
 
     times: Array
@@ -74,11 +74,11 @@ def _coupled(motion: Motion, coupled: CoupledJoints) -> Motion:
 
 
 class TargetMotion(Declaration, ABC):
-    """Base of the declarations of target motions."""
+    """Base class of target motion declarations."""
 
 
 class JointTargetMotion(TargetMotion):
-    """Base of the declarations of target motions in joint space."""
+    """Base class of target motion declarations in joint space."""
 
     in_degrees: ClassVar[tuple[str, ...]] = ()
 
@@ -95,11 +95,11 @@ class JointTargetMotion(TargetMotion):
         return self
 
     def sample(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Returns the motion of a run, and checks that it is within the limits of the robot.
+        """Returns the motion for a run, and checks that it is within the limits of the robot.
 
         Args:
-            times: ascending times (T,), s.
-            start: initial angles, (n,), rad or m.
+            times: ascending times, shape (T,), s.
+            start: initial joint angles, shape (n,), rad or m.
 
         Raises:
             DeclarationError: the motion does not fit the robot, or leaves its limits. The error
@@ -113,7 +113,7 @@ class JointTargetMotion(TargetMotion):
             _warn(warning)
         ramp = getattr(self, "ramp", None)
         if problems and ramp and not beyond_limits(motion.since(ramp), robot):
-            hint = f"; only the ramp of {ramp:g} s exceeds it: try ramp = {2 * ramp:g}"
+            hint = f"; only the ramp of {ramp:g} s exceeds it. Try ramp = {2 * ramp:g}"
             problems = [replace(each, expected=f"{each.expected}{hint}") for each in problems]
         if problems:
             raise DeclarationError(problems)
@@ -121,10 +121,10 @@ class JointTargetMotion(TargetMotion):
 
     @abstractmethod
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
-        """Returns the motion as `sample` does, without couplings and checks of limits."""
+        """Returns the motion like `sample`, but without couplings and limit checks."""
 
     def per_joint(self, key: str, n: int) -> Array:
-        """Returns a field of 1 or n numbers as (n,); raises DeclarationError if it is missing."""
+        """Returns a field expanded to shape (n,). Raises DeclarationError if it is missing."""
         value = getattr(self, key)
         degrees = f" or {key}_deg" if key in self.in_degrees else ""
         if value is None:
@@ -132,7 +132,7 @@ class JointTargetMotion(TargetMotion):
         return per_joint(key, value, n)
 
     def rows(self, key: str, n: int) -> Array:
-        """Returns a field of rows of n joint angles, (m, n).
+        """Returns a field with m rows of joint angles, shape (m, n).
 
         Raises DeclarationError if it is missing or empty, or has another number of columns.
         """
@@ -151,7 +151,7 @@ def _warn(warning: str) -> None:
 
 
 def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
-    """Returns, for each joint beyond its limits, where it exceeds them most."""
+    """Returns the largest violation of each joint that leaves its limits."""
     problems = []
     limits, speeds = robot.position_limits, robot.velocity_limits
     for joint, name in enumerate(robot.names):
@@ -181,15 +181,15 @@ def beyond_limits(motion: Motion, robot: SerialRobot) -> list[Problem]:
 
 
 class CartesianTargetMotion(TargetMotion):
-    """Base of the declarations of target motions of the flange."""
+    """Base class of target motion declarations for the flange."""
 
     @abstractmethod
     def sample(self, times: Array, start: Array) -> CartesianMotion:
-        """Returns the motion of a run.
+        """Returns the motion of the flange for a run.
 
         Args:
-            times: ascending times (T,), s.
-            start: initial T_world_flange, (4, 4), m.
+            times: ascending times, shape (T,), s.
+            start: initial flange pose T_world_flange, shape (4, 4), m.
 
         Raises:
             DeclarationError: fields contradict each other.
@@ -203,7 +203,7 @@ class Constant(JointTargetMotion):
     """Holds constant joint angles.
 
     Attributes:
-        angles: final value of each joint, rad or m (default: the initial values).
+        angles: constant angle of each joint, rad or m (default: the initial angles).
         angles_deg: `angles` in degrees.
     """
 
@@ -222,7 +222,7 @@ class CartesianConstant(CartesianTargetMotion):
     """Holds a constant pose of the flange.
 
     Attributes:
-        pose: T_world_flange or T_start_flange (default: the initial pose).
+        pose: flange pose T_world_flange or T_start_flange (default: the initial pose).
         relative_to: frame of the pose: `world`, or the initial flange frame (`start`).
     """
 
@@ -237,18 +237,18 @@ class CartesianConstant(CartesianTargetMotion):
 
 
 def in_world(pose: Array, start: Array, relative_to: str) -> Array:
-    """Returns T_world_flange of a pose relative to `world` or `start`."""
+    """Returns T_world_flange for a flange pose relative to `world` or `start`."""
     return np.asarray(start @ pose) if relative_to == "start" else pose
 
 
 class Step(JointTargetMotion):
-    """Steps by an amplitude, for step responses.
+    """Moves every joint in a step, for step responses.
 
     Attributes:
-        amplitude: amplitude of each joint relative to the initial values, rad or m.
+        amplitude: amplitude of each joint relative to the initial angle, rad or m.
         amplitude_deg: `amplitude` in degrees.
         time: time of the step, s.
-        duration: s until the step back (default: no step back).
+        duration: time until the step back, s (default: no step back).
     """
 
     kind: Literal["step"] = "step"
@@ -272,9 +272,9 @@ class Sine(JointTargetMotion):
     Attributes:
         amplitude: amplitude of each joint, rad or m.
         amplitude_deg: `amplitude` in degrees.
-        frequency: Hz per joint.
+        frequency: frequency of each joint, Hz.
         phase: phase of each joint, rad.
-        ramp: s in which the amplitude grows from zero, as a quintic; 0 for no ramp.
+        ramp: time in which the amplitude grows from zero along a quintic, s; 0 for no ramp.
     """
 
     kind: Literal["sine"] = "sine"
@@ -301,10 +301,10 @@ class Chirp(JointTargetMotion):
     Attributes:
         amplitude: amplitude of each joint, rad or m.
         amplitude_deg: `amplitude` in degrees.
-        start_frequency: Hz.
-        end_frequency: Hz.
-        duration: s of the motion; afterwards the target is the initial angles.
-        ramp: s in which the amplitude grows at the start and shrinks at the end, as quintics.
+        start_frequency: initial frequency, Hz.
+        end_frequency: final frequency, Hz.
+        duration: duration of the motion, s. Afterwards the joints rest at their initial angles.
+        ramp: time in which the amplitude grows at the start and decreases at the end, s.
     """
 
     kind: Literal["chirp"] = "chirp"
@@ -332,11 +332,11 @@ class Chirp(JointTargetMotion):
 
 
 class Recorded(JointTargetMotion):
-    """Follows rows of times and angles, smoothly interpolated; rests before and after them.
+    """Follows recorded joint angles with smooth interpolation, and rests before and after them.
 
     Attributes:
-        times: s, ascending.
-        angles: a row per time, rad or m per joint.
+        times: ascending times, s.
+        angles: joint angles, one row per time, rad or m.
         angles_deg: `angles` in degrees.
     """
 
@@ -380,13 +380,13 @@ class Recorded(JointTargetMotion):
 
 
 def quintic(times: Array, duration: float) -> Samples:
-    """Returns share of the path (0 to 1), speed (1/s) and acceleration (1/s2), (T,) each.
+    """Returns the path parameter (0 to 1), its speed (1/s) and acceleration (1/s2), shape (T,).
 
-    This is the polynomial of degree five that starts and ends at rest, without acceleration.
+    It is the polynomial of degree five that starts and ends at rest, without acceleration.
 
     Args:
-        times: since the start, (T,), s; at rest before the start and after the end.
-        duration: s.
+        times: times since the start, shape (T,), s. The motion rests before start and after end.
+        duration: duration of the motion, s.
     """
     u = np.clip(times / duration, 0.0, 1.0)
     rest = 1.0 - u

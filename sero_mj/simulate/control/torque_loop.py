@@ -18,7 +18,7 @@ tau_f^, the friction estimated by an observer, compensates friction:
 The observer is B ddtheta^ + tau = tau_m - tau_f^ with tau_f^ = -L B (dtheta - dtheta^). It needs no
 accelerations: tau_f^ is tau_f after a first-order low pass of bandwidth L. The measured torque also
 passes a low pass, and T compensates its lag. For rigid joints T = 0, and the low pass filters the
-error tau - u. The torque limits of the drives apply last; the observer uses the limited torques.
+error tau - u. The torque limits of the drives apply last. The observer uses the limited torques.
 
 For the controller, the robot has the inertia M + diag(Bt) with link inertia M, and gains are
 designed for it. A stiff joint impedance (`JointPosition`) behind the loop is position control with
@@ -44,22 +44,22 @@ from ...robots.declared.robot import SerialRobot
 from .robot_model import RobotModel
 from .robot_models import RobotModels
 
-# 1/s. Modes that grow more slowly are not caused by the time step: rounding splits the double
-# eigenvalue of joints without stiffness.
+# Minimum growth rate of unstable modes, 1/s. Slower growth is not caused by the time step, but by
+# rounding, which splits the double eigenvalue of joints without stiffness.
 _SLOW = 0.5
-_MAX_DENSE = 16  # joints; for these, one dense product takes less time than one product per joint
+_MAX_DENSE = 16  # maximum number of joints for which one dense product is faster than one per joint
 
 
 @dataclass(frozen=True, eq=False)
 class LoopGains:
-    """Parameters of a torque loop, (n,) each; see the module for the symbols.
+    """Parameters of a torque loop, shape (n,) each. The module docstring defines the symbols.
 
     Attributes:
-        motor_inertias: B, kg m2 (kg).
-        shaped_inertias: Bt, kg m2 (kg); the motor inertias that the controller assumes.
+        motor_inertias: motor inertias B at the joints, kg m2 (kg).
+        shaped_inertias: apparent motor inertias Bt, which the controller assumes, kg m2 (kg).
         bandwidth: bandwidth of the low-pass filter of the torque, 1/s.
-        damping_time: T, s; 0 for rigid joints.
-        friction_bandwidth: L, 1/s; 0 for no friction compensation.
+        damping_time: gain T of the torque's derivative, s; 0 for rigid joints.
+        friction_bandwidth: bandwidth L of the friction observer, 1/s; 0 for no compensation.
         stiffness: stiffness of elastic joints, Nm/rad (N/m); infinite for rigid joints.
         damping: damping in parallel with the stiffness, Nm s/rad (N s/m).
     """
@@ -76,7 +76,7 @@ class LoopGains:
     def of(cls, control: TorqueControl, dynamics: RobotDynamics, elastic: bool) -> LoopGains:
         """Returns the declared gains, with defaults for those that are not declared.
 
-        Raises DeclarationError if a motor has no inertia, or a shaped inertia above its own.
+        Raises DeclarationError if a motor has no inertia, or if a shaped inertia exceeds its own.
         """
         motors, shaped = dynamics.motor_inertias, control.motor_inertias
         problems = [
@@ -93,7 +93,7 @@ class LoopGains:
                 "torque_control.motor_inertias",
                 f"joint {i + 1}: found",
                 found=shaped[i],
-                expected=f"at most {motors[i]:g}, the motor's",
+                expected=f"at most {motors[i]:g}, the inertia of the motor",
             )
             for i in np.flatnonzero(shaped > motors * (1 + 1e-9)).tolist()
         ]
@@ -113,7 +113,7 @@ class LoopGains:
 
     @classmethod
     def joined(cls, robots: list[LoopGains]) -> LoopGains:
-        """Returns the gains of several robots as those of one, joint after joint."""
+        """Returns the gains of several robots in one object, joint after joint."""
         keys = cls.__dataclass_fields__
         return cls(*(np.concatenate([getattr(each, key) for each in robots]) for key in keys))
 
@@ -123,7 +123,7 @@ class LoopGains:
         return robot.model_copy(update={"dynamics": dynamics})
 
     def lighter(self, share: float) -> LoopGains:
-        """Returns gains that reduce motor inertias by a share of this reduction; 0 for none."""
+        """Returns gains with the inertia ratios (B / Bt)^share, which are 1 for a share of 0."""
         ratio = (self.motor_inertias / self.shaped_inertias) ** share
         shaped = self.motor_inertias / ratio
         time = self.damping_time * np.sqrt(shaped / self.shaped_inertias)
@@ -131,16 +131,16 @@ class LoopGains:
 
 
 class TorqueLoop:
-    """Joint torque control of all joints of m rows of a plant, called in every step.
+    """Joint torque control of all joints in m rows of a plant, called in every step.
 
     Args:
-        limits: torque limits of the drives, (n,), Nm or N; infinite for no limit.
+        limits: torque limits of the drives, shape (n,), Nm or N; infinite for no limit.
 
     Attributes:
-        friction: estimated friction of motors and gears, (m, n), Nm or N.
-        motor_torques: motor torques of the last step, (m, n), Nm or N.
-        sensed: input of `step`, (m, 2, n): motor velocities, rad/s or m/s, and the joint torques
-            measured in the step that led to these velocities, Nm or N.
+        friction: estimated friction of motors and gears, shape (m, n), Nm or N.
+        motor_torques: motor torques of the last step, shape (m, n), Nm or N.
+        sensed: input of `step`, shape (m, 2, n): motor velocities, rad/s or m/s, and the joint
+            torques measured in the step that led to these velocities, Nm or N.
     """
 
     def __init__(self, gains: LoopGains, timestep: float, limits: Array, m: int = 1) -> None:
@@ -163,11 +163,11 @@ class TorqueLoop:
         )
 
     def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
-        """Resets rows to drives that have held the robot until now.
+        """Resets some rows to the state of drives that have held the robot until now.
 
         Args:
-            torques: measured joint torques, (k, n), Nm or N.
-            velocities: velocities of the motors (k, n), rad/s or m/s.
+            torques: measured joint torques, shape (k, n), Nm or N.
+            velocities: velocities of the motors, shape (k, n), rad/s or m/s.
         """
         self.motor_torques[which] = torques
         self._filtered[which] = np.where(np.isfinite(self.gains.stiffness), torques, 0.0)
@@ -175,11 +175,11 @@ class TorqueLoop:
         self._momentum[which] = _momentum_per_velocity(self.gains, self.timestep) * velocities
 
     def command(self, torques: Array) -> None:
-        """Sets the commanded torques u, (m, n), Nm or N, which hold until the next call."""
+        """Sets the commanded torques u, shape (m, n), Nm or N, until the next call."""
         self._commanded[...] = torques
 
     def step(self, out: Array) -> None:
-        """Writes the motor torques of the next step, (m, n), Nm or N, from `sensed`."""
+        """Writes the motor torques for `sensed` to `out`, shape (m, n), Nm or N."""
         np.matmul(*self._product)
         self._own[...] = self._next
         motors = self.motor_torques
@@ -198,9 +198,10 @@ class StaticDeflection:
     contraction if the joints are stiffer than springs and gravity.
 
     Args:
-        stiffness: K, (n,), Nm/rad (N/m).
-        at_rest: l, (n,), Nm or N, an array that is read in every step; None for gravity.
-        angles: initial angles of the links, (n,) or (m, n), rad or m.
+        stiffness: joint stiffness K, shape (n,), Nm/rad (N/m).
+        at_rest: array of the torques l, shape (n,), Nm or N, which is read in every step (default:
+            gravity torques).
+        angles: initial angles of the links, shape (n,) or (m, n), rad or m.
     """
 
     def __init__(
@@ -218,7 +219,7 @@ class StaticDeflection:
             at_rest[...] = self._gravity()
 
     def begin(self, which: Bools, angles: Array, motor_angles: Array) -> None:
-        """Resets some rows (m,) to link angles (n,), given the motor angles of all rows, (m, n)."""
+        """Resets the rows in a mask to link angles, (n,), for motor angles of all rows, (m, n)."""
         others = self._angles[~which].copy()
         self._angles[which] = angles
         self.link_angles(motor_angles)
@@ -229,7 +230,7 @@ class StaticDeflection:
         return self._model.gravity()
 
     def link_angles(self, motor_angles: Array) -> Array:
-        """Returns q^ for motor angles theta, always in the same array."""
+        """Returns the resting link angles q^ for motor angles theta, always in the same array."""
         torques = self._gravity() if self._at_rest is None else self._at_rest
         np.multiply(torques, self._compliance, out=self._angles)
         return np.subtract(motor_angles, self._angles, out=self._angles)
@@ -241,7 +242,7 @@ def _momentum_per_velocity(gains: LoopGains, timestep: float) -> Array:
 
 
 def loop_coefficients(gains: LoopGains, timestep: float) -> Array:
-    """Returns the coefficients (4, 7, n) of the linear step of a loop, without torque limits.
+    """Returns the coefficients of a loop's linear step without torque limits, shape (4, 7, n).
 
     For each joint they map [motor torques, friction, friction + its momentum term, filtered
     torques] of the last step and [commanded torques, motor velocities, measured torques] to the
@@ -296,10 +297,10 @@ def unstable_loop(
     controller are held for `steps` steps.
 
     Args:
-        mass: mass matrix of the links without the motors (n, n).
+        mass: mass matrix of the links without the motors, shape (n, n).
         timestep: time step of the loop and of the physics, s.
-        stiffness: stiffness of the controller with respect to the motor angles (n, n).
-        damping: damping of the controller with respect to the motor velocities (n, n).
+        stiffness: stiffness of the controller with respect to the motor angles, shape (n, n).
+        damping: damping of the controller with respect to the motor velocities, shape (n, n).
     """
     n = len(mass)
     loop = _dense(loop_coefficients(gains, timestep))

@@ -1,7 +1,7 @@
 """Target motions through way points, along straight lines, of the joints or of the flange.
 
-All joints, or all six directions of the flange, share one time scaling (the share of the path, 0 to
-1, over time): they start and arrive together, and rest at each way point.
+All joints, or all six directions of the flange, share one time scaling (the path parameter, 0 to 1,
+over time). They start and arrive together, and rest at each way point.
 
 Source: Siciliano, Sciavicco, Villani, Oriolo 2009, Robotics: Modelling, Planning and Control, 4.2.
 """
@@ -36,13 +36,13 @@ TimeScaling = Literal["quintic", "trapezoidal"]
 # Maximum speed and acceleration of a quintic from 0 to 1 in 1 s.
 _QUINTIC_SPEED, _QUINTIC_ACCELERATION = 15.0 / 8.0, 10.0 / np.sqrt(3.0)
 _THIRD = 1.0 / 3.0  # share of the duration in which a trapezoid accelerates, without a limit
-_ZERO = 1e-12  # rad or m: rounding
+_ZERO = 1e-12  # tolerance for rounding, rad or m
 
 
 def _rising(times: Array | None) -> Array | None:
     if times is not None:
         if not len(times) or times[0] < 0:
-            raise Problem(found=times.tolist(), expected="times from 0 s on").error()
+            raise Problem(found=times.tolist(), expected="times of at least 0 s").error()
         if (np.diff(times) <= 0).any():
             raise Problem(found=times.tolist(), expected="ascending times").error()
     return times
@@ -78,19 +78,19 @@ def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]
 
 
 class WayPoints(JointTargetMotion):
-    """Moves to one way point after the other; all joints start and arrive together.
+    """Moves the joints from one way point to the next. All joints start and arrive together.
 
     Exactly one of `times` and `speed` must be given.
 
     Attributes:
-        way_points: a row per way point, rad or m per joint.
+        way_points: joint angles, one row per way point, rad or m.
         way_points_deg: `way_points` in degrees.
-        times: arrival time at each way point, s. If the first is 0, the motion starts there.
+        times: arrival time at each way point, s. If the first time is 0, the motion starts there.
         speed: share of the velocity limits of the robot, 0 to 1.
         accelerations: maximum acceleration of each joint, rad/s2 or m/s2 (default: the
             `acceleration_limits` of the robot).
         time_law: `quintic` (continuous acceleration) or `trapezoidal` (faster).
-        dwell: s of rest at each way point; only with `speed`.
+        dwell: time of rest at each way point, s; only with `speed`.
     """
 
     kind: Literal["way_points"] = "way_points"
@@ -163,26 +163,26 @@ def _shares(line: Array, limits: Array | None) -> Array:
 
 
 def _path_limit(line: Array, limits: Array | None) -> float:
-    """Returns the limit of the path (0 to 1) due to the limits of all joints; inf for none."""
+    """Returns the limit of the path parameter due to the limits of all joints, or infinity."""
     largest = float(_shares(line, limits).max())
     return 1.0 / largest if largest > _ZERO else np.inf
 
 
 class CartesianWayPoints(CartesianTargetMotion):
-    """Moves the flange to one pose after the other, and rests at each pose.
+    """Moves the flange from one pose to the next, and rests at each pose.
 
     Exactly one of `times` and `speed` must be given.
 
     Attributes:
-        poses: frames of the flange: 4x4, or `{ xyz = [...], rpy_deg = [...] }`.
+        poses: poses of the flange: 4x4 matrices, or `{ xyz = [...], rpy_deg = [...] }`.
         relative_to: frame of the poses: `world`, or the initial flange frame (`start`).
-        times: arrival time at each pose, s. If the first is 0, the motion starts there.
+        times: arrival time at each pose, s. If the first time is 0, the motion starts there.
         speed: maximum speed, m/s.
         angular_speed: maximum angular speed, rad/s; only with `speed`.
         acceleration: maximum acceleration, m/s2; only with `speed`.
         angular_acceleration: maximum angular acceleration, rad/s2; only with `speed`.
-        time_law: `quintic` or `trapezoidal`; with `times` always quintic.
-        dwell: s of rest at each pose; only with `speed`.
+        time_law: `quintic` or `trapezoidal`; always quintic with `times`.
+        dwell: time of rest at each pose, s; only with `speed`.
     """
 
     kind: Literal["cartesian_way_points"] = "cartesian_way_points"
@@ -233,7 +233,7 @@ def _over(limit: float, lengths: Array) -> Array:
 
 
 def _turn(a: Array, b: Array) -> Array:
-    """Returns the shortest rotation vector (3,), rad, from frame a to b, in axes of a."""
+    """Returns the shortest rotation vector from frame a to b in axes of a, shape (3,), rad."""
     quaternion, vector = np.zeros(4), np.zeros(3)
     mujoco.mju_mat2Quat(quaternion, (a[:3, :3].T @ b[:3, :3]).reshape(9))
     mujoco.mju_quat2Vel(vector, quaternion, 1.0)
@@ -241,7 +241,7 @@ def _turn(a: Array, b: Array) -> Array:
 
 
 def _rotations(vectors: Array) -> Array:
-    """Returns rotations (T, 3, 3) for rotation vectors (T, 3), rad (Rodrigues' formula)."""
+    """Returns rotation matrices for rotation vectors, (T, 3), rad (Rodrigues' formula)."""
     angles = np.linalg.norm(vectors, axis=1)
     x, y, z = (vectors / np.maximum(angles, 1e-300)[:, None]).T
     zero = np.zeros_like(x)
@@ -251,14 +251,14 @@ def _rotations(vectors: Array) -> Array:
 
 
 def trapezoid(times: Array, duration: float, blend: float) -> Samples:
-    """Returns share of the path (0 to 1), speed (1/s) and acceleration (1/s2), (T,) each.
+    """Returns the path parameter (0 to 1), its speed (1/s) and acceleration (1/s2), shape (T,).
 
-    Acceleration, speed and deceleration are constant.
+    A phase of constant speed is between phases of constant acceleration and deceleration.
 
     Args:
-        times: since the start, (T,), s; at rest before the start and after the end.
-        duration: s.
-        blend: s of acceleration and of deceleration, each at most half the duration.
+        times: times since the start, shape (T,), s. The motion rests before start and after end.
+        duration: duration of the motion, s.
+        blend: time of acceleration, and of deceleration, at most half of the duration, s.
     """
     speed = 1.0 / (duration - blend)
     rate = speed / blend
@@ -274,14 +274,14 @@ def trapezoid(times: Array, duration: float, blend: float) -> Samples:
 
 
 def quintic_duration(speed: float, acceleration: float) -> float:
-    """Returns the shortest duration, s, of a quintic within speed, 1/s, and acceleration, 1/s2."""
+    """Returns a quintic's shortest duration in s within speed (1/s) and acceleration (1/s2)."""
     return float(max(_QUINTIC_SPEED / speed, np.sqrt(_QUINTIC_ACCELERATION / acceleration), 0.0))
 
 
 def trapezoid_duration(speed: float, acceleration: float) -> tuple[float, float]:
-    """Returns the shortest duration and its blend, s, of a trapezoid within the limits.
+    """Returns the shortest duration and its blend time in s for a trapezoid within the limits.
 
-    The speed, 1/s, is not reached if the acceleration, 1/s2, is too low.
+    The speed limit (1/s) is not reached if the acceleration limit (1/s2) is too low.
     """
     if speed**2 >= acceleration:
         blend = float(1.0 / np.sqrt(acceleration))
@@ -290,9 +290,9 @@ def trapezoid_duration(speed: float, acceleration: float) -> tuple[float, float]
 
 
 def trapezoid_blend(duration: float, acceleration: float) -> float:
-    """Returns the blend, s, with which a trapezoid of an acceleration, 1/s2, takes the duration.
+    """Returns the blend time in s of a trapezoid with a duration and an acceleration (1/s2).
 
-    With an infinite acceleration it is a third of the duration. Raises ValueError if the
+    With an infinite acceleration, it is a third of the duration. Raises ValueError if the
     acceleration is too low.
     """
     if not np.isfinite(acceleration):
@@ -307,9 +307,9 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 def _schedule(
     speeds: Array, rates: Array, time_law: TimeScaling, dwell: float
 ) -> tuple[Array, Array, Array | None]:
-    """Returns shortest starts, durations and, for trapezoids, blends of lines, (m,) each, s.
+    """Returns earliest starts, durations and, for trapezoids, blend times of lines, (m,) each, s.
 
-    Maximum speeds, 1/s, and accelerations, 1/s2, are infinite for lines of zero length.
+    Maximum speeds (1/s) and accelerations (1/s2) are infinite for lines of zero length.
     """
     durations, blends = np.zeros((2, len(speeds)))
     for way, (speed, rate) in enumerate(zip(speeds, rates, strict=True)):
@@ -326,9 +326,9 @@ def _schedule(
 def _along(
     times: Array, starts: Array, durations: Array, blends: Array | None
 ) -> tuple[Ints, Array, Array, Array]:
-    """Returns index of the line, share of the line, speed and acceleration, (T,) each.
+    """Returns the line's index, path parameter, speed and acceleration at each time, (T,) each.
 
-    Starts (ascending), durations and blends (None for quintics), (m,) each, are in seconds.
+    `starts` (ascending), `durations` and `blends` (None for quintics), (m,) each, are in seconds.
     """
     index = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, None)
     samples = np.zeros((3, len(times)))

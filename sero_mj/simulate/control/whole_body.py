@@ -1,7 +1,7 @@
 """`WholeBody`: poses of the bases of mounted robots, and inertias of carried robots.
 
 A controller knows its own robot, the pose of its base, and the mass, center and inertia of mounted
-robots at the measured angles. Joint velocities of other robots are ignored: their effects are
+robots at the measured angles. Joint velocities of other robots are ignored. Their effects are
 external torques, as for the controllers of real limbs.
 """
 
@@ -26,9 +26,9 @@ class Mounting:
 
     Attributes:
         data: data of the whole body, with the composite inertias `crb`.
-        base: body of the robot's base.
-        root: body whose `subtree_com` is the reference point of the composite inertias.
-        loads: for each carried robot, the carrying link (0 is the base) and its first body.
+        base: index of the body of the robot's base.
+        root: index of the body whose `subtree_com` is the reference point of these inertias.
+        loads: carrying link (0 is the base) and first body of each carried robot.
     """
 
     data: mujoco.MjData
@@ -38,7 +38,7 @@ class Mounting:
 
 
 class WholeBody:
-    """All robots of a dynamic world at their measured angles, without later payloads."""
+    """All robots of a dynamic world at their measured angles. Later payloads are ignored."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -53,15 +53,15 @@ class WholeBody:
 
     @staticmethod
     def is_needed(world: World) -> bool:
-        """Whether the base of a robot is mounted or free, so that robot models must follow it."""
+        """Returns whether a base is mounted or free, so that robot models must follow it."""
         return any(part.mocap < 0 for part in world.robots.values())
 
     def update(self, joint_angles: Array, positions: Array) -> None:
-        """Moves the whole body.
+        """Moves all robots to measured angles and to the poses of free bases.
 
         Args:
             joint_angles: measured angles of all joints of the world's robots, (N,), rad or m.
-            positions: `qpos` of the world, (nq,), which has the poses of free bases.
+            positions: generalized positions `qpos` with the poses of free bases, shape (nq,).
         """
         own, model = self._data, self._model
         own.qpos[self._qpos] = joint_angles
@@ -71,7 +71,7 @@ class WholeBody:
         mujoco.mj_makeM(model, own)  # computes the composite inertias
 
     def mounting(self, name: str) -> Mounting:
-        """Returns the mounting of a robot, whose data every `update` changes."""
+        """Returns the mounting of a robot. Its data change in every `update`."""
         robots = self._world.scene.robots
         base = int(self._world.robots[name].bodies[0])
         loads = [
@@ -83,10 +83,10 @@ class WholeBody:
 
 
 class Carrier:
-    """Moves the bases of the robots of a model, and adds their loads, as in a whole body.
+    """Moves the bases of a model's robots and adds their loads, as in a `WholeBody`.
 
-    For each robot, `robots` contains its mounting, T_world_base when the model was made, the id of
-    its first joint in the model, and its number of joints.
+    For each robot, `robots` contains its mounting, its pose T_world_base when the model was made,
+    the id of its first joint in the model, and its number of joints.
     """
 
     def __init__(
@@ -136,9 +136,9 @@ class Carrier:
     def add_loads(self) -> None:
         """Adds the inertias of the loads to those of the links that carry them.
 
-        Both are about a point, in world axes. By the parallel-axis theorem, a shift of the point
-        by d adds S - tr(S) E to the tensor, with a = h - m d / 2 and S = a d^T + d a^T, and -m d
-        to the first moment h.
+        All inertias are about a point, in world axes. By the parallel-axis theorem, a shift of the
+        point by d adds S - tr(S) E to the tensor, with a = h - m d / 2 and S = a d^T + d a^T, and
+        -m d to the first moment h.
         """
         if not len(self._bodies):
             return

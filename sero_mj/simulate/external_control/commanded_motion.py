@@ -13,25 +13,25 @@ import numpy as np
 from ...base.frames import Array
 
 HOLDS, SERVOS, SPEEDS, MOVES, TORQUES = "holds", "servos", "speeds", "moves", "torques"
-# Maximum time in seconds for which joints may move at full speed between two single angles.
+# Maximum time in seconds for which joints may move at full speed between two streamed commands.
 _MAX_INTERVAL = 0.1
-_SMOOTHED = 0.02  # s, time constant for velocities of single angles, which arrive irregularly
-_STILL = 1e-9  # rad/s
+_SMOOTHED = 0.02  # time constant for velocities of streamed angles, which arrive irregularly, s
+_STILL = 1e-9  # tolerance for rest, rad and rad/s
 
 
 class CommandedMotion:
-    """Computes the commanded angles step by step.
+    """Computes the commanded joint angles of a robot step by step.
 
     Args:
-        position_limits: lower and upper limits (n, 2), rad.
-        velocity_limits: velocity limits (n,), rad/s.
+        position_limits: lower and upper limits, shape (n, 2), rad.
+        velocity_limits: velocity limits, shape (n,), rad/s.
 
     Attributes:
-        mode: `HOLDS`, `SERVOS` (follows single angles), `SPEEDS` (follows speeds), `MOVES` (moves
+        mode: `HOLDS`, `SERVOS` (follows streamed angles), `SPEEDS` (follows speeds), `MOVES` (moves
             to a goal), or `TORQUES` (torques act, and the angles follow the robot).
         angles: commanded angles, shape (n,), rad.
-        velocities: velocities of the motion (n,), rad/s, smoothed for single angles.
-        accelerations: planned accelerations, shape (n,), rad/s^2; zero while following single
+        velocities: velocities of the motion, shape (n,), rad/s, smoothed for streamed angles.
+        accelerations: planned accelerations, shape (n,), rad/s^2; zero while following streamed
             angles.
         torques: torques in addition to gravity, shape (n,), Nm.
     """
@@ -47,9 +47,9 @@ class CommandedMotion:
         self._fastest = np.asarray(velocity_limits)
         self._goal: Array = np.zeros(n)
         self._begin: Array = np.zeros(n)
-        self._taken = -np.inf  # time of the last single angles, s
-        self._ends = False  # whether no more single angles will follow
-        self._rates: Array = np.zeros(n)  # rad/s, speeds toward single angles
+        self._taken = -np.inf  # time of the last streamed angles, s
+        self._ends = False  # whether no more streamed angles will follow
+        self._rates: Array = np.zeros(n)  # speeds toward streamed angles, rad/s
         self._speeds: Array = np.zeros(n)
         self._acceleration = 0.0
         self._path = 0.0, 0.0, 0.0  # start, acceleration time and duration of a move, s
@@ -62,7 +62,7 @@ class CommandedMotion:
         self.velocities[:] = self.accelerations[:] = self.torques[:] = 0.0
 
     def servo(self, angles: Array, time: float, cycle: float) -> str:
-        """Sets single angles, shape (n,), rad; returns the reason if refused, or an empty text.
+        """Follows streamed angles, (n,), rad. Returns why they are rejected, or an empty string.
 
         Args:
             time: simulated time, s.
@@ -80,15 +80,12 @@ class CommandedMotion:
             self.hold()
         self.mode, self._taken, self._ends = SERVOS, time, False
         self._goal[:] = angles
-        # The way is spread over the expected time until the next command.
+        # The motion is spread over the expected time until the next command.
         self._rates[:] = np.minimum(np.abs(angles - self.angles) / passed, self._fastest)
         return ""
 
     def speed(self, speeds: Array, acceleration: float) -> str:
-        """Sets speeds, shape (n,), rad/s, reached by an acceleration in rad/s^2.
-
-        Returns as `servo`.
-        """
+        """Sets speeds, (n,), rad/s, to be reached with an acceleration, rad/s^2; see `servo`."""
         if wrong := self._too_fast(np.abs(speeds)) or _not_positive("acceleration", acceleration):
             return wrong
         if self.mode != SPEEDS:
@@ -98,10 +95,10 @@ class CommandedMotion:
         return ""
 
     def move(self, angles: Array, speed: float, acceleration: float, time: float) -> str:
-        """Moves to angles, shape (n,), rad; returns as `servo`.
+        """Moves to angles, shape (n,), rad. The result is that of `servo`.
 
         Args:
-            speed: speed of the joint with the longest way, rad/s.
+            speed: speed of the joint with the longest path, rad/s.
             acceleration: acceleration of the same joint, rad/s^2.
             time: current time, s.
         """
@@ -121,9 +118,9 @@ class CommandedMotion:
         return ""
 
     def stop(self, deceleration: float) -> None:
-        """Stops by a deceleration in rad/s^2 and holds.
+        """Stops with a deceleration in rad/s^2, and holds the angles.
 
-        Single angles are followed to the last one.
+        Streamed angles are followed to the last ones.
         """
         if self.mode == SERVOS:
             self._ends = True
@@ -136,13 +133,13 @@ class CommandedMotion:
         self._acceleration = deceleration if deceleration > 0.0 else np.inf
 
     def act(self, torques: Array) -> None:
-        """Applies torques, shape (n,), Nm."""
+        """Applies torques in addition to gravity, shape (n,), Nm."""
         self.hold()
         self.mode = TORQUES
         self.torques[:] = torques
 
     def step(self, time: float, duration: float) -> None:
-        """Continues to a time in seconds by a step of some duration."""
+        """Continues the motion by a step of a duration, up to a time, both in seconds."""
         if self.mode == SERVOS:
             limit = self._rates * duration
             change = np.clip(self._goal - self.angles, -limit, limit)

@@ -1,7 +1,7 @@
 """Packets that a simulated robot exchanges with a program in every step.
 
-Both packets use the structure language (STRUCTURE.md). They are stored in memory and written by
-views, because encoding them in every step would take longer than the step.
+Both packets use the structure language (STRUCTURE.md). They are stored in memory and written
+through views, because encoding them in every step would take longer than the step.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from ..control.controller import Sensed, Target
 from ..control.robot_model import RobotModel
 
 FIRST = 1  # flag of the first state of a run
-# Events of a state with n values, and their source.
+# Events of a state that have n values, and the functions that return these values.
 _OF_JOINTS: Mapping[str, Callable[[Sensed, Target], Array]] = {
     "angles": lambda sensed, _: sensed.angles,
     "velocities": lambda sensed, _: sensed.velocities,
@@ -56,10 +56,10 @@ def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
     """Parses a structure, and checks its events.
 
     Args:
-        sizes: event to number of values.
+        sizes: number of values by event name.
 
     Raises:
-        DeclarationError: it is invalid, or has other events or sizes.
+        DeclarationError: the structure is invalid, or has other events or sizes.
     """
     try:
         structure = Structure(text)
@@ -76,7 +76,7 @@ def structure_of(key: str, text: str, sizes: Mapping[str, int]) -> Structure:
 
 
 def modulus_of(counter: Any) -> int:
-    """Returns the modulus at which a counter, shape (1,), wraps; None for a counter never wraps."""
+    """Returns the modulus at which a counter, shape (1,), wraps, or 2^64 without a counter."""
     if counter is None:
         return 1 << 64
     kind: np.dtype[Any] = counter.dtype
@@ -86,13 +86,13 @@ def modulus_of(counter: Any) -> int:
 
 
 class State:
-    """The packet with a robot's state.
+    """The packet with a robot's state, which is sent to a program.
 
     Args:
         text: structure of the state; empty for `default_state`.
 
     Attributes:
-        packet: the bytes of the packet; always the same object.
+        packet: bytes of the packet; always the same object.
         modulus: modulus at which the step counter wraps.
 
     Raises:
@@ -121,7 +121,7 @@ class State:
                           if name in _OF_MODEL]  # fmt: skip
 
     def fill(self, step: int, sensed: Sensed, target: Target) -> None:
-        """Writes the state of a step, which is counted from 1."""
+        """Writes the state of a step to `packet`. Steps are counted from 1."""
         if self._bound is None or self._bound[0] is not sensed or self._bound[1] is not target:
             self._bound = sensed, target
             self._pairs = [
@@ -147,24 +147,24 @@ class State:
 
 
 class Answer:
-    """The packet with a program's command, and the torques that follow from it.
+    """The packet with a program's command, and the torques that result from it.
 
-    A command has either `torques`, or `joint_angles` for springs and dampers of the simulated
-    robot: tau = K (q_d - q) - D dq + g(q) + tau_0, with K = `stiffness`, D = `damping` and tau_0 =
-    `feed_forward`, each as commanded or declared.
+    A command contains either `torques`, or `joint_angles` for springs and dampers of the simulated
+    robot. Their control law is tau = K (q_d - q) - D dq + g(q) + tau_0. K is `stiffness`, D is
+    `damping` (both commanded or declared), and tau_0 is `feed_forward`.
 
     Args:
         text: structure of the answer; empty for `default_answer`.
-        stiffness: declared K, shape (n,), Nm/rad.
-        damping: declared D, shape (n,), Nm s/rad.
+        stiffness: declared stiffness K, shape (n,), Nm/rad.
+        damping: declared damping D, shape (n,), Nm s/rad.
 
     Attributes:
         incoming: receive buffer, one byte longer than an answer.
-        packet: the bytes of the answer in use.
+        packet: bytes of the answer that is in use.
         modulus: modulus at which the step counter wraps.
 
     Raises:
-        DeclarationError: the structure has neither torques nor angles, or both, or unknown events.
+        DeclarationError: the structure has unknown events, or not either torques or angles.
     """
 
     def __init__(
@@ -176,7 +176,7 @@ class Answer:
         events = self.structure.events
         if ("torques" in events) == ("joint_angles" in events):
             found = " ".join(events) or "neither"
-            problem = Problem("answer", found=found, expected="torques, or joint_angles")
+            problem = Problem("answer", found=found, expected="either torques or joint_angles")
             raise problem.error()
         springs = [name for name in ("stiffness", "damping") if name in events]
         if "torques" in events and springs:
@@ -186,7 +186,7 @@ class Answer:
         if "joint_angles" in events:
             for name, value in declared.items():
                 if value is None and name not in events:
-                    expected = f"numbers, or {name} in answer"
+                    expected = f"one number per joint, or {name} in answer"
                     raise Problem(name, "is required", expected=expected).error()
         self.packet = bytearray(self.structure.size)
         self.incoming = bytearray(self.structure.size + 1)
@@ -207,7 +207,7 @@ class Answer:
 
     @property
     def has_step(self) -> bool:
-        """Whether an answer has the number of its state."""
+        """Whether answers contain the step number of their state."""
         return self._step is not None
 
     @property
@@ -229,11 +229,11 @@ class Answer:
         return self.structure.describe_wrong_checksum(row)
 
     def use(self) -> None:
-        """Uses the incoming answer from now on."""
+        """Replaces the answer in use with the incoming answer."""
         self.packet[:] = self.incoming[:-1]
 
     def write(self, sensed: Sensed, out: Array) -> None:
-        """Writes the current torques, shape (n,)."""
+        """Writes the torques of the answer in use to `out`, shape (n,)."""
         if self._torques is not None:
             out[:] = self._torques
         else:

@@ -30,21 +30,21 @@ from .library_host import ARRAYS, RobotStruct
 from .program import SharedCore
 
 HEADER = Path(__file__).with_name("sero_mj_controller.h")
-_GUARD = b"\xa5" * 64  # after the torques, where a library for more joints would write
+_GUARD = b"\xa5" * 64  # bytes after the torques, which a library for more joints would overwrite
 _MACHINES = {3: "x86", 8: "mips", 40: "arm", 62: "x86-64", 183: "aarch64", 243: "riscv"}
-_SLICE = 20  # ms between checks for interrupts and for the end of the process
-_CLOSED = 0.5  # s, maximum time of the process to end after its pipe is closed
+_SLICE = 20  # time between checks for interrupts and for the end of the process, ms
+_CLOSED = 0.5  # maximum time in which the process ends after its pipe is closed, s
 
 
 class Library(ControllerDeclaration):
-    """A function of a shared library, `void control(struct sero_mj_robot *robot)`.
+    """A function `void control(struct sero_mj_robot *robot)` of a shared library.
 
     Attributes:
-        file: the library, for example controller.so; relative to the scenario's folder.
+        file: library file, for example controller.so, relative to the scenario's folder.
         function: name of the function.
-        gravity: whether to compute the gravity torques for it.
+        gravity: whether to compute gravity torques for the function.
         isolated: whether to load and call the library in its own process, so that a crash, exit or
-            hang becomes an error of the run; each step takes a few microseconds more.
+            hang becomes an error of the run. Each step then takes a few microseconds longer.
         patience: maximum time of a call in its own process, s.
         first_patience: maximum time to start the process and load the library, s.
     """
@@ -90,7 +90,7 @@ def _function_of(file: Path, name: str) -> Any:
 
 def _not_loaded(file: Path, reason: str) -> DeclarationError:
     found, own = _machine(file), _machine(Path(sys.executable))
-    if found and own and found != own:  # for which the system reports a missing file
+    if found and own and found != own:  # the system reports this as a missing file
         expected = f"a library for {own}"
         return Problem("file", f"{file} is a library for {found}", expected=expected).error()
     return Problem("file", f"{file} cannot be loaded: {reason}").error()
@@ -110,7 +110,7 @@ def _writes_too_much(name: str, model: RobotModel, time: float) -> SimulationErr
 
 
 def _machine(file: Path) -> str:
-    """Returns the machine of an ELF file; empty for other files."""
+    """Returns the processor architecture of an ELF file, or an empty string for other files."""
     with file.open("rb") as opened:
         head = opened.read(20)
     if len(head) < 20 or head[:4] != b"\x7fELF":
@@ -148,7 +148,7 @@ class LibraryController(Controller):
         """Writes the torques of this step, shape (n,).
 
         Raises:
-            SimulationError: the library has written torques of more joints.
+            SimulationError: the library has written torques of too many joints.
         """
         struct = self._struct
         if self._bound[0] is not sensed or self._bound[1] is not target:
@@ -220,7 +220,7 @@ class IsolatedLibrary(Controller):
 
         Raises:
             SimulationError: the library has crashed, does not return, or has written torques of
-                more joints.
+                too many joints.
         """
         values = self._values
         values[0], values[1], values[2] = sensed.angles, sensed.velocities, sensed.torques
@@ -285,7 +285,7 @@ class IsolatedLibrary(Controller):
         self._end = weakref.finalize(self, _end, child, (self._to, self._from))
 
     def _answer(self, patience: float) -> bytes | None:
-        """Waits for a byte; returns None after a timeout, and b"" if the process has ended."""
+        """Returns a received byte, None after a timeout, or b"" if the process has ended."""
         waited = 0.0
         while not self._poll.poll(_SLICE):
             waited += _SLICE / 1e3

@@ -1,4 +1,4 @@
-"""Loads a library and calls its function; also runs as the process of an isolated library.
+"""Loads a library and calls its function. It also runs as the process of an isolated library.
 
 The process imports only this file, so it starts quickly. It answers with one byte: `READY` once the
 library is loaded, then `DONE` after each call.
@@ -18,13 +18,13 @@ ARRAYS = (
     "gravity",
     "torques_out",
 )
-HEAD = 8  # bytes before the arrays in shared memory: the time
+HEAD = 8  # size of the time, which precedes the arrays in shared memory, bytes
 READY, DONE = b"r", b"1"
 NOT_LOADED, NO_FUNCTION = b"l", b"f"  # the reason is printed to stderr
 
 
 class RobotStruct(ctypes.Structure):
-    """`struct sero_mj_robot` of sero_mj_controller.h."""
+    """The structure `sero_mj_robot` of sero_mj_controller.h."""
 
     _fields_ = [
         ("n", ctypes.c_int),
@@ -49,11 +49,11 @@ def load(file: str, name: str) -> Any:
 
 
 def main(file: str, name: str, path: str, *numbers: str) -> None:
-    """Calls the function once for each received byte.
+    """Loads a library, and calls its function once for each received byte.
 
     Args:
-        *numbers: pipe ends to read and to write, number of joints, time step, and whether gravity
-            is passed.
+        *numbers: file descriptors of the pipes to read from and to write to, number of joints, time
+            step in seconds, and 1 if gravity is passed.
     """
     import faulthandler
     import mmap

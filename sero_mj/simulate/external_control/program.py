@@ -15,9 +15,9 @@ from typing import Any
 from ...base.child_process import ChildProcess
 from ...base.errors import Problem
 
-PORT = "{port}"  # placeholder in a command
-_LINES, _CHARACTERS = 5, 4000  # of its output, in errors
-# Function of the C library on Linux; None elsewhere.
+PORT = "{port}"  # placeholder for the port in a command
+_LINES, _CHARACTERS = 5, 4000  # maximum length of a program's output in errors
+# Function of the C library on Linux that returns the current core; None elsewhere.
 _current_core: Any = getattr(
     ctypes.CDLL(None) if os.name == "posix" else None, "sched_getcpu", None
 )
@@ -25,7 +25,7 @@ _random = random.Random()  # independent of the user's seed
 
 
 class Program:
-    """A program of the user that runs as a child process. It ends with all of its own children.
+    """A user's program that runs as a child process. It ends with all of its own children.
 
     Attributes:
         name: file name of the program.
@@ -71,7 +71,7 @@ class Program:
         return bool(self._child.process.poll())
 
     def why(self) -> str:
-        """Returns its exit status and its last lines of output."""
+        """Returns a message with the program's exit status and its last lines of output."""
         status = self._child.status
         if not status:
             how = "is still running"
@@ -90,9 +90,9 @@ class Program:
 class SharedCore:
     """Moves a process to the core of the thread that waits for it.
 
-    In lockstep only one of the two runs at a time, and waking another core is slow: a round trip
+    In lockstep, only one of the two runs at a time, and waking another core is slow. A round trip
     over a pipe takes 50 us on two cores of a virtual machine, and 5 us on one core. Only the main
-    thread is moved, and threads that it starts afterwards.
+    thread and the threads that it starts afterwards are moved.
     """
 
     def __init__(self, process: int) -> None:
@@ -113,8 +113,8 @@ class SharedCore:
 def held_port() -> socket.socket:
     """Returns a TCP socket that reserves the number of a free UDP port.
 
-    While it is open, no other run on this machine uses the number. Ports are below 32768, where the
-    system does not assign any.
+    While it is open, no other run on this machine uses the number. The number is below 32768, where
+    the system does not assign ports.
     """
     while True:
         held = socket.socket()
@@ -130,7 +130,7 @@ def held_port() -> socket.socket:
 
 
 def is_file(path: Path) -> bool:
-    """Whether a path is a file. Returns False for paths that are invalid or cannot be read."""
+    """Returns whether a path is a file, and False for paths that are invalid or unreadable."""
     try:
         return path.is_file()
     except (OSError, ValueError):  # too long, with NUL, or in a folder that cannot be read

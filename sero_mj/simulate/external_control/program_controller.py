@@ -29,10 +29,10 @@ from .program import PORT, Program, find_program, held_port, is_file
 log = logging.getLogger(__name__)
 
 DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
-_SLICE = 0.02  # s between checks for interrupts and for the end of the program
-_BEHIND = 10  # maximum number of steps that a program in time may be behind
-_OLD = 0.02  # s, age of a command that is reported
-RECEIVE_BUFFER = 1 << 20  # bytes, so that unexpected packets do not displace the answer
+_SLICE = 0.02  # time between checks for interrupts and for the end of the program, s
+_BEHIND = 10  # maximum number of steps by which a program may lag that follows every step
+_OLD = 0.02  # minimum age of a command that is reported, s
+RECEIVE_BUFFER = 1 << 20  # size in bytes, so that unexpected packets do not displace the answer
 
 
 def _as_word(value: Any) -> Any:
@@ -44,7 +44,7 @@ Word = Annotated[str, BeforeValidator(_as_word)]
 
 
 class Reachable(ControllerDeclaration):
-    """Base of controllers that are programs with a network address.
+    """Base class of controllers that are programs with a network address.
 
     Attributes:
         host: address of the program.
@@ -52,11 +52,11 @@ class Reachable(ControllerDeclaration):
         command: command that starts the program for a run, for example ["./controller", "--port",
             "{port}"]; empty if the program is already running. Words may be numbers.
         folder: working directory of the program, relative to the scenario's folder (the default).
-        clock: `lockstep`: the simulation waits for the answer to each state. `real_time`: states
-            are sent on time, and the latest answer is used until the next step, as on a robot.
-        same_core: whether a started program runs in lockstep on the same core as the simulation,
-            after its first answer, which avoids waking another core; set it to false for programs
-            that later start threads for parallel computations.
+        clock: `lockstep` (the simulation waits for the answer to each state) or `real_time` (states
+            are sent on time, and the latest answer is used until the next step, as on a robot).
+        same_core: whether a started program runs on the same core as the simulation, in lockstep
+            and after its first answer. This avoids waking another core. Set it to false for
+            programs that later start threads for parallel computations.
         patience: maximum time to wait for an answer in lockstep, and maximum age of a command in
             real time, s.
         first_patience: maximum time to wait for the first answer, s.
@@ -110,7 +110,7 @@ class Reachable(ControllerDeclaration):
 
     @staticmethod
     def steps_per_cycle(cycle: float, timestep: float) -> int:
-        """Returns the number of time steps in a cycle (s); raises DeclarationError."""
+        """Returns the number of steps in a cycle (s). Raises DeclarationError for a fraction."""
         steps = round(cycle / timestep)
         if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
             raise mismatch(cycle, f"a multiple of the time step, {timestep:g} s", key="cycle")
@@ -118,14 +118,14 @@ class Reachable(ControllerDeclaration):
 
 
 class Link:
-    """A socket to a program, which is started if a command is declared.
+    """A socket to a program. The program is started if a command is declared.
 
     Attributes:
-        buffer: the last received bytes.
-        answered: number of the last answered step; 0 for none.
+        buffer: last received bytes.
+        answered: number of the last answered step; 0 if there is none.
         is_silent: whether an answer is missing.
-        why_silent: known reason of a missing answer, to be appended to a sentence.
-        why_wrong: reason of an answer with a wrong size, if the size itself is not the reason.
+        why_silent: known reason for a missing answer, which is appended to a sentence.
+        why_wrong: reason for an answer of the wrong size, if the reason is not the size itself.
     """
 
     def __init__(self, declared: Reachable, robot: str, max_size: int) -> None:
@@ -139,7 +139,7 @@ class Link:
         self._port = declared.port
         # Monotonic times of the start of the run, and of the end of waiting for the first answer.
         self._began = self._given_up = 0.0
-        self._late = 0.0  # s, delay of this step
+        self._late = 0.0  # delay of this step, s
 
     @property
     def name(self) -> str:
@@ -213,12 +213,12 @@ class Link:
         take: Callable[[int], bool],
         patience: float | None = None,
     ) -> bool:
-        """Sends a state in lockstep, and waits for the answer; returns whether it was received.
+        """Sends a state in lockstep, waits for the answer, and returns whether it was received.
 
         Args:
             time: simulated time, s.
-            take: called with the size of an answer in `buffer`; returns whether it is valid.
-            patience: maximum time to wait once the program listens, s; None for the declared one.
+            take: function that gets the size of an answer in `buffer`, and validates the answer.
+            patience: maximum time to wait once the program listens, s (default: as declared).
 
         Raises:
             SimulationError: the program has ended.
@@ -262,7 +262,7 @@ class Link:
             self._program.come_beside()
 
     def send(self, packet: bytes | bytearray) -> bool:
-        """Sends a packet; returns False if it was not delivered."""
+        """Sends a packet, and returns whether it was delivered."""
         assert self._socket is not None
         try:
             self._socket.send(packet)
@@ -277,7 +277,7 @@ class Link:
         self.why_silent = f": no program listens at {self._declared.host}:{self._port}"
 
     def drain(self) -> int:
-        """Discards all received packets; returns their number."""
+        """Discards all received packets, and returns their number."""
         assert self._socket is not None
         count = 0
         try:
@@ -290,7 +290,7 @@ class Link:
     # ---- real time
 
     def wait_until(self, time: float) -> float:
-        """Waits until a simulated time; returns the delay in seconds."""
+        """Waits until a simulated time, and returns the delay in seconds."""
         due = self._began + time
         while (left := due - clock.monotonic()) > 0.0:
             clock.sleep(left)
@@ -327,7 +327,7 @@ class Link:
     def wait_for_first(
         self, packet: bytes | bytearray, time: float, take: Callable[[int], object]
     ) -> None:
-        """Sends a packet repeatedly until the program answers, and starts the clock then."""
+        """Sends a packet repeatedly until the program answers, and then starts the clock."""
         deadline = clock.monotonic() + self._declared.first_patience
         while not self.answered and clock.monotonic() < deadline:
             clock.sleep(_SLICE / 10)
@@ -345,13 +345,13 @@ class Link:
             raise self.error(time, self._program.why())
 
     def error(self, time: float, what: str) -> SimulationError:
-        """Closes the link; returns the error that ends the run."""
+        """Closes the link, and returns the error that ends the run."""
         self.close()
         return SimulationError(time, self._robot, what)
 
 
 class Answering(Reachable):
-    """Base of controllers that answer each state with a command.
+    """Base class of controllers that answer each state with a command.
 
     Attributes:
         on_silence: reaction to a missing answer: `stop` ends the run, `hold` repeats the last
@@ -375,16 +375,17 @@ class Filled(Protocol):
 
 
 class PacketProgram(Answering):
-    """Base of programs that receive a packet for each state, and answer with a packet.
+    """Base class of programs that receive a packet for each state, and answer with a packet.
 
     Attributes:
-        state: structure of the state: any of step, flags (1 in the first state), time, angles,
+        state: structure of the state with any of step, flags (1 in the first state), time, angles,
             velocities, torques, motor_angles, motor_velocities, gravity, coriolis, mass_matrix,
-            target_angles, target_velocities, target_accelerations, target_pose. Default: step:1I
-            flags:1I time:1d angles velocities torques target_angles target_velocities gravity, each
-            of n:d.
-        answer: structure of the answer: step (of its state), and either torques, or joint_angles
-            with stiffness, damping; feed_forward. Default: step:1I 4x torques:nd.
+            target_angles, target_velocities, target_accelerations and target_pose. The default is
+            step:1I flags:1I time:1d, followed by angles, velocities, torques, target_angles,
+            target_velocities and gravity with n doubles each.
+        answer: structure of the answer with the step of its state and either torques or
+            joint_angles. It can also have feed_forward and, with joint_angles, stiffness and
+            damping. The default is step:1I 4x torques:nd.
         stiffness: stiffness per joint for answers with joint_angles but without stiffness, Nm/rad.
         damping: damping per joint for answers with joint_angles but without damping, Nm s/rad.
     """
@@ -418,7 +419,7 @@ class ProgramController(Controller):
     """Sends states to a program, and applies its commands.
 
     Args:
-        link: connection; None for a socket.
+        link: connection to the program (default: a UDP socket).
 
     Attributes:
         logged: age of the current command and delay of the current step, shape (2,), s.
@@ -470,7 +471,7 @@ class ProgramController(Controller):
 
     @property
     def commanded_angles(self) -> Array | None:
-        """Equilibrium angles of commanded springs, (n,), rad or m; None for torque commands."""
+        """Commanded equilibrium angles of springs, (n,), rad or m; None for torque commands."""
         return self._answer.angles
 
     def close(self) -> None:
@@ -487,10 +488,7 @@ class ProgramController(Controller):
         self.logged[0] = 0.0
 
     def _is_fresh(self, time: float) -> bool:
-        """Sends the state and receives the answer.
-
-        Returns whether the latest one is recent enough.
-        """
+        """Sends the state, receives answers, and returns whether the latest is recent enough."""
         link, packet = self._link, self._state.packet
         if self._declared.clock == "lockstep":
             if not self._answer.has_step:  # earlier packets could be mistaken for the answer
@@ -541,7 +539,7 @@ class ProgramController(Controller):
             self._link.answered = step
 
     def _step_in_buffer(self, size: int) -> int:
-        """Returns the step of the received answer; without a number, the latest step."""
+        """Returns the step number of the received answer, or the latest step if it has none."""
         answer = self._answer
         if size != answer.structure.size or not answer.has_step:
             return self._step

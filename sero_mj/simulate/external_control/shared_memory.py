@@ -27,8 +27,8 @@ from .program_controller import Answering, Link, PacketProgram, ProgramControlle
 
 # Placeholders in a command: the memory file, the pipe to read from, and the pipe to write to.
 MEMORY, TURN, DONE = "{memory}", "{turn}", "{done}"
-ALIGNMENT = 64  # bytes: the answer begins at the next multiple after the state
-_SLICE = 20  # ms between checks for interrupts and for the end of the program
+ALIGNMENT = 64  # alignment of the answer, which follows the state, bytes
+_SLICE = 20  # time between checks for interrupts and for the end of the program, ms
 
 
 class SharedMemoryProgram(PacketProgram):
@@ -36,11 +36,11 @@ class SharedMemoryProgram(PacketProgram):
 
     The state is at the beginning of the file `{memory}`, and the answer follows at the next
     multiple of 64 bytes. The program reads a byte from the pipe `{turn}`, reads the state, writes
-    the answer, and writes a byte to the pipe `{done}`. If the answer is late, the state stays
-    unchanged until then. Afterwards the program gets the current state.
+    the answer, and writes a byte to the pipe `{done}`. If the answer is late, the state remains
+    unchanged until it arrives. Afterwards the program receives the current state.
 
     Attributes:
-        command: starts the program, with {memory}, {turn} and {done} in it.
+        command: command that starts the program, with {memory}, {turn} and {done} as placeholders.
     """
 
     title: ClassVar[str] = "program over shared memory"
@@ -68,7 +68,7 @@ class SharedMemoryProgram(PacketProgram):
 
 
 class MemoryLink(Link):
-    """Shared memory with a program that is started by the run."""
+    """A connection over shared memory to a program that the run starts."""
 
     def __init__(self, declared: Answering, robot: str, size: int, answer_size: int) -> None:
         super().__init__(declared, robot, answer_size)
@@ -76,7 +76,7 @@ class MemoryLink(Link):
         self._at = -(-size // ALIGNMENT) * ALIGNMENT
         self._memory: mmap.mmap | None = None
         self._end: weakref.finalize[Any, Any] | None = None
-        self._is_owed = False  # whether an answer of the program is pending
+        self._is_pending = False  # whether an answer of the program is pending
 
     @property
     def is_open(self) -> bool:
@@ -106,7 +106,7 @@ class MemoryLink(Link):
                 text = text.replace(key, str(path))
             command.append(text)
         self._program = Program(command, self._declared.folder, leftovers=[folder])
-        self._is_owed = False
+        self._is_pending = False
         self._given_up = clock.monotonic() + self._declared.first_patience
 
     def close(self) -> None:
@@ -125,7 +125,7 @@ class MemoryLink(Link):
     ) -> bool:
         assert self._memory is not None
         self._share_core()
-        is_late = self._is_owed  # the program is still computing an earlier step
+        is_late = self._is_pending  # the program is still computing an earlier step
         if not is_late:
             self._give_turn(packet)
         deadline = clock.monotonic() + self._patience(patience)
@@ -136,7 +136,7 @@ class MemoryLink(Link):
                     return False
                 continue
             os.read(self._done, 1)
-            self._is_owed = False
+            self._is_pending = False
             if not is_late:
                 break
             is_late = False  # this was the answer to the earlier step
@@ -151,7 +151,7 @@ class MemoryLink(Link):
         assert self._memory is not None
         self._memory[: self._size] = packet
         os.write(self._turn, b"1")
-        self._is_owed = True
+        self._is_pending = True
 
     def drain(self) -> int:
         return 0  # answers only follow states

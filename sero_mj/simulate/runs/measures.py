@@ -31,9 +31,9 @@ def _velocity_error(log: RunLog, robot: str) -> Array:
 
 
 def _flange(log: RunLog, robot: str, signal: str | None = None) -> Array:
-    """Returns T_world_flange, (T, 4, 4), at the angles of a signal; None for the actual angles.
+    """Returns T_world_flange, (T, 4, 4), for the angles in a signal (default: actual angles).
 
-    Robots that carry this one are in their actual poses.
+    The robots that carry this robot are in their actual poses.
     """
     signal = signal or _actual_signal(log, robot, "angles")
     if (robot, signal) not in log.derived:
@@ -126,7 +126,7 @@ def _tilt(log: RunLog, name: str) -> Array:
     return np.asarray(np.arctan2(np.linalg.norm(np.cross(up, up[0]), axis=1), up @ up[0])[:, None])
 
 
-# Name to unit and function, which returns (T, n) for joints, or (T, 1) for a robot or object.
+# Unit of each measure, and its function, which returns shape (T, n) for joints, or (T, 1).
 MEASURES: Mapping[str, tuple[str, Callable[[RunLog, str], Array]]] = {
     "position_error": ("rad", _position_error),
     "velocity_error": ("rad/s", _velocity_error),
@@ -162,9 +162,9 @@ SIGNED = (
     *(name for name in PER_JOINT if name != "saturated"), "height", "flange_x", "flange_y",
     "flange_z",
 )  # fmt: skip
-# Measures of free bodies: a base, or an object.
+# Measures of free bases and free objects.
 OF_FREE = ("height", "displacement", "tilt")
 # Measures that require a target.
 NEED_TARGET = ("position_error", "velocity_error", "flange_error", "orientation_error")
-# Measures that require a controller in real time.
+# Measures that require a controller that runs in real time.
 NEED_REAL_TIME = ("step_lateness", "real_time_factor")

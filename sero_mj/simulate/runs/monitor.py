@@ -1,4 +1,4 @@
-"""`Monitor`: a fault detector over the log of a run."""
+"""`Monitor`: a fault detector for the log of a run."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ _UNITS = {
     "torque_error": "Nm", "external_torque": "Nm", "position_error": "rad",
     "frozen_torque": "s", "saturated": "", "velocity_limit": "rad/s", "position_limit": "rad",
 }  # fmt: skip
-_CLOSE = 1e-3  # rad or m, distance from a position limit
+_CLOSE = 1e-3  # distance from a position limit that counts as a fault, rad or m
 
 
 class Monitor(Declaration):
-    """Thresholds of a fault detector. A fault is reported once a threshold is exceeded for `hold`.
+    """A fault detector. It reports a fault once a threshold is exceeded for the time `hold`.
 
     Attributes:
-        torque_error: |commanded - measured| torque as a share of the torque limit. It includes the
-            torque that accelerates the motor inertia.
-        external_torque: external torque estimated by the momentum observer, as a share of the
-            torque limit.
-        position_error: |target - measured| angle, rad or m; None disables the check.
-        frozen_after: time in seconds for which a torque sensor may read a constant value while the
-            commanded torque changes.
+        torque_error: maximum |commanded - measured| torque, as a share of the torque limit. It
+            includes the torque that accelerates the motor inertia.
+        external_torque: maximum external torque, as estimated by the momentum observer, as a share
+            of the torque limit.
+        position_error: maximum |target - measured| angle, rad or m; None disables the check.
+        frozen_after: maximum time in seconds for which a torque sensor reads a constant value while
+            the commanded torque changes.
         frozen_change: minimum change of the commanded torque in this time, as a share of the limit.
         hold: minimum duration of a violation, s.
     """
@@ -54,14 +54,14 @@ class Monitor(Declaration):
         """Returns all detected faults in the order of detection."""
         found: list[Finding] = []
         for robot in log.robots:
-            for kind, values, limits in self._looks(log, robot):
+            for kind, values, limits in self._checks(log, robot):
                 hold = self.frozen_after if kind == "frozen_torque" else self.hold
                 steps = max(round(hold / log.timestep), 1) if log.timestep else 1
                 found += _onsets(log, robot, kind, values, limits, steps)
         return sorted(found, key=lambda finding: finding.time)
 
-    def _looks(self, log: RunLog, robot: str) -> Iterator[tuple[str, Array, Array]]:
-        """Yields kind, values (T, n) and their upper bounds, (n,) or (T, n)."""
+    def _checks(self, log: RunLog, robot: str) -> Iterator[tuple[str, Array, Array]]:
+        """Yields the kind, values (T, n) and upper bounds, (n,) or (T, n), of each check."""
         declared, limits = log.robots[robot], log.torque_limits(robot)
         if log.has(robot, "commanded_torques"):
             error = np.abs(log.torque_error(robot))
@@ -88,7 +88,7 @@ class Monitor(Declaration):
             yield "position_limit", beyond, np.full(declared.n, -_CLOSE)
 
     def _frozen(self, log: RunLog, robot: str, limits: Array) -> tuple[Array, Array]:
-        """Returns for how long each sensor is constant while the command changed, (T, n), s."""
+        """Returns how long sensors were constant while commands changed, and the limits, s."""
         torques, commanded = log.of(robot, "torques"), log.of(robot, "commanded_torques")
         same = np.zeros(torques.shape, bool)
         same[1:] = torques[1:] == torques[:-1]
@@ -109,8 +109,8 @@ class Finding:
     Attributes:
         time: time of detection, s.
         kind: one of `KINDS`.
-        value: the value above the limit.
-        unit: unit of value and limit; empty for none.
+        value: value that exceeds the limit.
+        unit: unit of value and limit; empty if there is none.
     """
 
     time: float
@@ -135,7 +135,7 @@ def _onsets(
     if not bad.any():
         return []
     steps = 1 if kind == "frozen_torque" else steps
-    noticed = _since(bad) == steps
+    detected = _since(bad) == steps
     names = log.robots[robot].names
     bounds = np.broadcast_to(limits, values.shape)
     return [
@@ -148,7 +148,7 @@ def _onsets(
             float(bounds[row, joint]),
             log.unit_at(_UNITS[kind], robot, names[joint]),
         )
-        for row, joint in np.argwhere(noticed)
+        for row, joint in np.argwhere(detected)
     ]
 
 

@@ -29,32 +29,30 @@ from .run_log import event_of
 
 # Inputs of a robot that are signals of a run.
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
-_TARGET = "target_angles"  # of a double
-_CHUNK = 8192  # packets that are decoded together
-# Maximum and minimum number of packets for the typical period.
+_TARGET = "target_angles"  # signal for the joint angles of a double
+_CHUNK = 8192  # number of packets that are decoded together
+# Maximum and minimum number of packets from which the typical period is estimated.
 _TYPICAL, _MIN_TYPICAL = 64, 8
-# Relative to the typical period: time between packets of a burst, and the longest burst (a longer
-# one follows a pause). If there are more bursts per packet than _MAX_BURSTS, there are none.
+# Maximum time between packets of a burst, and maximum duration of a burst per packet, relative to
+# the typical period; a longer burst follows a pause. With more than _MAX_BURSTS bursts per packet,
+# the packets did not arrive in bursts.
 _BURST, _MAX_BURSTS, _LONGEST = 0.25, 0.6, 2.0
 
 
 @dataclass(frozen=True, eq=False)
 class Series:
-    """Events over time.
+    """The values of a source's events over time.
 
     Attributes:
-        times: increasing times (T,), s.
-        events: event to values, shape (T, count).
+        times: increasing times, shape (T,), s.
+        events: values by event name, shape (T, count).
     """
 
     times: Array
     events: dict[str, Array]
 
     def held_at(self, event: str, times: Array) -> Array:
-        """Returns the latest values of an event at given times; NaN before its first value.
-
-        The shape of the result is (number of times, count).
-        """
+        """Returns the latest values of an event at T times, (T, count), or NaN before the first."""
         at = np.searchsorted(self.times, times, side="right") - 1
         values = self.events[event][np.maximum(at, 0)].copy()
         values[at < 0] = np.nan
@@ -64,12 +62,12 @@ class Series:
 def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
     """Decodes a source's packets and skips malformed ones.
 
-    If packets have increasing times of sending, these are used, shifted so that the first one is
-    its time of arrival. Otherwise the times of arrival are used, with bursts spread evenly, see
-    `spread_bunches`.
+    If the packets contain increasing send times, these are used, shifted so that the first send
+    time equals the first arrival time. Otherwise, arrival times are used, and bursts are spread
+    evenly (see `spread_bunches`).
 
     Args:
-        receiver: decodes the packets; NaN is allowed as in its declaration.
+        receiver: source that decodes the packets. Its declaration decides where NaN is allowed.
 
     Raises:
         RecordingError: the file cannot be read.
@@ -87,33 +85,33 @@ def read_events(recording: PacketFile, receiver: Source, name: str) -> Series:
 
 
 def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) -> Series:
-    """Returns valid packets of a source over time, see `read_events`.
+    """Returns the values of a source's valid packets over time; see `read_events`.
 
     Args:
-        receiver: source whose `time` is the event with the time of sending.
-        events: event to values, shape (T, count), T >= 1.
-        arrivals: times of arrival (T,), s.
+        receiver: source whose `time` is the event with the send time.
+        events: values by event name, shape (T, count), with T >= 1.
+        arrivals: arrival times, shape (T,), s.
     """
     times = spread_bunches(arrivals)
     if receiver.time:
         sent = events[receiver.time][:, 0] * receiver.time_scale
         if np.isfinite(sent).all() and (np.diff(sent) > 0).all():
             times = sent - sent[0] + arrivals[0]
-    # Of packets with the same time, only the last one was shown.
+    # If several packets have the same time, only the last one was shown.
     later = np.minimum.accumulate(times[::-1])[::-1]
     keep = np.append(times[:-1] < later[1:], True)
     return Series(times[keep], {event: values[keep] for event, values in events.items()})
 
 
 def spread_bunches(arrivals: Array) -> Array:
-    """Estimates the times of sending of packets that arrived in bursts, shape (T,), s.
+    """Estimates the send times of packets that arrived in bursts, shape (T,), s.
 
-    Buffers or a slow network deliver packets in bursts, and differences between such rows are
-    meaningless. The last packet of a burst gets its time of arrival; the others are spread evenly
-    after the previous burst. Packets without bursts keep their times.
+    Buffers or a slow network deliver packets in bursts, and differences between their arrival times
+    are meaningless. The last packet of a burst retains its arrival time. The others are spread
+    evenly after the previous burst. Without bursts, the arrival times are returned.
 
     Args:
-        arrivals: times of arrival (T,), s, not decreasing.
+        arrivals: arrival times, shape (T,), s, not decreasing.
     """
     size = min(_TYPICAL, len(arrivals) - 1)
     if size < _MIN_TYPICAL:
@@ -156,18 +154,18 @@ def follow_routes(
     doubles: Mapping[str, Any],
     groups: Mapping[str, Any],
 ) -> tuple[dict[str, Array], Array]:
-    """Computes the inputs of robots over a recording or a table.
+    """Computes the inputs of robots over time from a recording or a table.
 
-    The rows are the packets of the source that moves the first robot. For other sources, the latest
-    packet counts.
+    There is one row for each packet of the source that moves the first robot. For other sources,
+    the latest packet is used.
 
     Args:
-        routes: input to origin, as in a scene; routes from other sources are ignored.
-        doubles: double to its table. The first moved double of a robot, or of its group, is the
-            robot's target.
+        routes: origins by input, as in a scene. Routes from other sources are ignored.
+        doubles: tables of doubles by name. The first double of a robot, or of its group, that a
+            route moves is the robot's target.
 
     Returns:
-        signals by event, shape (T, n), and their times, shape (T,), s since the first row.
+        signals by event name, shape (T, n), and times since the first row in seconds, shape (T,).
 
     Raises:
         RecordingError: no recorded source moves a robot, or a route is invalid.
@@ -195,9 +193,9 @@ def follow_routes(
     values = {route.to.target: route.value for route in wiring.routes}
     moved = [name for name in robots if f"{name}.joint_angles" in values]
     if not moved:
-        led = ", ".join(routes) or "none"
+        routed = ", ".join(routes) or "none"
         expected = f"{next(iter(robots))}.joint_angles"
-        reason = f"no recorded source moves a robot: found routes to {led}; expected {expected}"
+        reason = f"no recorded source moves a robot: found routes to {routed}; expected {expected}"
         raise RecordingError(path, reason)
     names = {origin.name for value in values.values() for origin in value.origins
              if origin.is_event}  # fmt: skip
@@ -234,7 +232,7 @@ def _possible(
 def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> bool:
     """Returns whether a name in an origin is known.
 
-    It is a unit, a recorded event, another route's input, or computed by a moved robot's model.
+    Known names are units, recorded events, inputs of other routes and torques of a robot's model.
     """
     owner, dot, key = name.partition(".")
     if key in MODEL_TORQUES and f"{owner}.joint_angles" in routes:
@@ -243,7 +241,7 @@ def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> b
 
 
 class _Follower:
-    """Evaluates routes over time, each once, at the times of the source of the first one."""
+    """Evaluates each route once, at the packet times of the source of the first route."""
 
     def __init__(
         self,

@@ -15,7 +15,7 @@ def write_run_csv(layout: RunLayout, rows: Array, path: Path) -> None:
     """Writes a log as a table with `time` in seconds and `ROBOT_SIGNAL[JOINT]` in SI units.
 
     Args:
-        rows: the log, shape (T, width).
+        rows: rows of the log, shape (T, width).
 
     Raises:
         CsvError: the file cannot be written.

@@ -35,9 +35,9 @@ def event_of(robot: str, signal: str) -> str:
 
 
 def recorded_event(event: str, recorded: Collection[str]) -> str:
-    """Returns an event's name in a recording or a table, which may be an old one.
+    """Returns an event's name in a recording or a table, which may have old names.
 
-    For example, `lwr_angles` if `lwr_joint_angles` is not recorded.
+    For example, it returns `lwr_angles` if `lwr_joint_angles` is not recorded.
     """
     for signal, old in _OLD_NAMES.items():
         if event.endswith(f"_{signal}") and event not in recorded:
@@ -48,16 +48,17 @@ def recorded_event(event: str, recorded: Collection[str]) -> str:
 
 
 class RunLayout:
-    """The columns of a log, rows of float64 numbers.
+    """The columns of a log, whose rows consist of float64 numbers.
 
     Args:
-        joints: robot name to number of joints, in the order of the world.
-        others: additional events, with kind and count: `{"push_force": "1V"}`.
+        joints: number of joints by robot name, in the order of the world.
+        targets: names of the robots with columns for targets.
+        others: count and kind of additional events by name, for example `{"push_force": "1V"}`.
 
     Attributes:
-        structure: structure of a row as a packet; matrices are row-major.
+        structure: packet structure of a row. Matrices are row-major.
         width: number of values in a row.
-        columns: event name to its columns.
+        columns: slices of columns by event name.
     """
 
     def __init__(
@@ -80,7 +81,7 @@ class RunLayout:
         }
 
     def block(self, signals: tuple[str, ...]) -> slice:
-        """Returns the columns of some signals of all robots, which are contiguous."""
+        """Returns the contiguous columns of adjacent signals of all robots."""
         found = [
             self.columns[event_of(name, signal)]
             for signal in signals
@@ -91,15 +92,15 @@ class RunLayout:
 
 @dataclass(frozen=True, eq=False)
 class RunLog:
-    """A run of a simulation, or a recorded run of a simulated or real robot.
+    """The log of a simulation run, or of a recorded run of simulated or real robots.
 
-    Row 0 is the initial state. Torques of a row acted in the step that led to it.
+    Row 0 is the initial state. The torques in a row acted in the step that led to this row.
 
     Attributes:
         robots: robots by name.
-        signals: event name to values: (T, n) per joint, (T, 3) vectors, (T, 4, 4) matrices. Signals
-            that real robots do not have (`actual_...`) may be missing.
-        times: times of the rows (T,), s.
+        signals: values by event name, shape (T, n) for joints, (T, 3) for vectors and (T, 4, 4) for
+            matrices. Signals that real robots do not have (`actual_...`) may be missing.
+        times: times of the rows, shape (T,), s.
         name: name in titles.
         derived: cache of computed values.
     """
@@ -114,7 +115,7 @@ class RunLog:
     def from_rows(
         cls, layout: RunLayout, rows: Array, robots: Mapping[str, SerialRobot], name: str = "run"
     ) -> RunLog:
-        """Returns a log whose signals are views of rows, shape (T, width)."""
+        """Returns a log whose signals are views of `rows`, shape (T, width)."""
         signals = {}
         for event, columns in layout.columns.items():
             shape = layout.structure.events[event]
@@ -134,10 +135,10 @@ class RunLog:
         return self.signals[event_of(robot, signal)]
 
     def between(self, begin: float | None, end: float | None) -> RunLog:
-        """Returns the part of a run between two times in seconds, both included; None for no limit.
+        """Returns the rows between two times in seconds, both included. None sets no limit.
 
         Raises:
-            UsageError: there are no rows.
+            UsageError: there are no rows between these times.
         """
         rows = np.ones(len(self.times), bool)
         bounds = []
@@ -151,7 +152,7 @@ class RunLog:
             has = "has no rows"
             if len(self.times):
                 has = f"lasts from {self.times[0]:g} s to {self.times[-1]:g} s"
-            raise UsageError(f"run {self.name} {has}; there are none {' '.join(bounds)}")
+            raise UsageError(f"run {self.name} {has}; it has no rows {' '.join(bounds)}")
         signals = {event: values[rows] for event, values in self.signals.items()}
         return RunLog(self.robots, signals, self.times[rows], self.name)
 
@@ -160,7 +161,7 @@ class RunLog:
         return np.asarray(self.of(robot, "commanded_torques") - self.of(robot, "torques"))
 
     def unit_at(self, unit: str, robot: str, joint: str) -> str:
-        """Returns the unit of a joint: `unit` (Nm, rad, rad/s); N, m, m/s for a prismatic joint."""
+        """Returns a unit (Nm, rad, rad/s), or for a prismatic joint its counterpart (N, m, m/s)."""
         declared = self.robots[robot]
         if declared.types[declared.names.index(joint)] == "revolute":
             return unit
@@ -179,7 +180,7 @@ class RunLog:
 def routes_from_recording(
     routes: Mapping[str, Any], source: str, recorded: Collection[str]
 ) -> dict[str, Any]:
-    """Renames events of a simulation in routes to the names in its recording, which may be old."""
+    """Returns routes with the names that events of a simulation have in its recording."""
 
     def rename(match: re.Match[str]) -> str:
         return f"{source}.{recorded_event(match[1], recorded)}"
@@ -192,9 +193,9 @@ def routes_from_recording(
 
 
 def commanded_torques(log: RunLog, robot: str) -> Array:
-    """Returns commanded torques, (T, n), Nm; NaN in the first row if nothing was commanded yet.
+    """Returns commanded torques, shape (T, n), Nm, with NaN in a first row without a command.
 
-    A log starts with zeros before the first command, which would often be the largest error.
+    Logs have zeros before the first command, which would often cause the largest torque error.
 
     Raises:
         KeyError: commanded torques are missing.
@@ -208,12 +209,12 @@ def commanded_torques(log: RunLog, robot: str) -> Array:
 
 
 def torque_error(log: RunLog, robot: str) -> Array:
-    """Returns commanded minus measured torque, (T, n), Nm. Raises KeyError if one is missing."""
+    """Returns commanded minus measured torques, (T, n), Nm. Raises KeyError if one is missing."""
     return np.asarray(commanded_torques(log, robot) - log.of(robot, "torques"))
 
 
 def compared_signal(log: RunLog, robot: str, signal: str) -> Array:
-    """Returns a signal of a robot, (T, n); for commanded torques see `commanded_torques`.
+    """Returns a signal of a robot, shape (T, n). Commanded torques are as in `commanded_torques`.
 
     Raises:
         KeyError: the signal is missing.

@@ -1,4 +1,4 @@
-"""Reads a recording as a run of a simulation, or of robots by a scene's routes."""
+"""Reads a recording as the run of a simulation, or of robots that a scene's routes move."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ from .run_log import MEASURED, TIME, RunLog, event_of, recorded_event
 log = logging.getLogger(__name__)
 
 _MODEL_FILES = (paths.ROBOT_FILE, paths.GROUP_FILE)
-# The models of a group's members; in a recording, all models are in adjacent folders.
+# Model names of a group's members. In a recording, all models are in adjacent folders.
 _MODEL_NAMED = re.compile(r"""(\bmodel\s*=\s*)["']([^"'\n]+)["']""")
 _ANGLES, _OLD_ANGLES = "_joint_angles", "_angles"
 # Prefixes of `angles` in old events of the same robot.
@@ -53,16 +53,16 @@ def read_run(path: Path | str, source: str | None = None, *, scene: Scene | None
     """Reads a recording of a simulation, or of robots that a scene mirrors.
 
     A source with the events `time` and `ROBOT_joint_angles` is a logged run. For other sources, the
-    scene's routes lead to robot inputs. Time starts with the simulation, or with the first packet
-    at which the poses of all robots are known.
+    scene's routes determine the robot inputs. Time starts with the simulation, or with the first
+    packet at which the poses of all robots are known.
 
     Args:
-        source: name of a source; None for all.
-        scene: robots and routes; None for the recorded scene.
+        source: name of a source (default: all sources).
+        scene: scene with the robots and routes (default: the recorded scene).
 
     Returns:
-        run with `joint_angles`, `joint_velocities` (differentiated if they are not recorded), and
-            if recorded `torques`, `commanded_torques` and all signals of a simulation.
+        run with `joint_angles` and `joint_velocities` (differentiated if they are not recorded). If
+            recorded, it also has `torques`, `commanded_torques` and all signals of a simulation.
 
     Raises:
         RecordingError: the file cannot be read, is not a recording, or has no robot.
@@ -115,7 +115,7 @@ def mirrored_run(
     read: Callable[[str], Series],
     declared: Declared,
 ) -> RunLog:
-    """Returns the run of robots that routes move; `read` reads the packets of a source."""
+    """Returns the run of robots that routes move. `read` returns the packets of a source."""
     robots = declared.robots
     signals, times = follow_routes(
         path, receivers, read, robots, declared.routes, declared.doubles, declared.groups
@@ -144,7 +144,7 @@ def _chosen(recording: PacketFile, source: str | None) -> list[str]:
 
 
 def _robots_of(events: Iterable[str]) -> list[str]:
-    """Returns the robots of a logged run by their names in events; [] without such a run."""
+    """Returns the names of robots in the events of a logged run, or [] if it is not such a run."""
     events = list(events)
     if TIME not in events:
         return []
@@ -190,7 +190,7 @@ def _simulated(recording: PacketFile, name: str, scene: Scene | None) -> RunLog:
                 signals[event] = signals.pop(recorded)
         count = signals[f"{prefix}{_ANGLES}"].shape[1]
         try:
-            chosen = _meant(recording.path, prefix, count, declared)
+            chosen = _robot_of(recording.path, prefix, count, declared)
         except UnknownName as error:
             near = did_you_mean(prefix, error.available)
             reason = f"does not describe robot '{prefix}'{near}; pass a scene"
@@ -207,8 +207,10 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
     return shape[1:] if len(shape) > 1 and shape[0] == 1 else shape
 
 
-def _meant(path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]) -> SerialRobot:
-    """Returns the robot of some events. Raises UnknownName if there is none."""
+def _robot_of(
+    path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]
+) -> SerialRobot:
+    """Returns the robot of events with a prefix. Raises UnknownName if there is none."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)
@@ -243,8 +245,8 @@ class Declared:
 
     Attributes:
         robots: mapping from names to robots, including the robots of groups.
-        routes: input to origin.
-        doubles: tables by name.
+        routes: origins by input.
+        doubles: tables of doubles by name.
         groups: tables with the robots of each group, by name.
     """
 
@@ -308,10 +310,7 @@ def _table(tables: Mapping[str, Any], key: str) -> dict[str, Any]:
 
 
 def _folder(model: str) -> str:
-    """Returns the folder name of a model; for a file with an unusual name, the file name.
-
-    All models of a recording are in adjacent folders.
-    """
+    """Returns the folder name of a model, or the name of its file if that name is unusual."""
     path = Path(model)
     return path.parent.name if path.name in _MODEL_FILES else path.name
 
@@ -338,7 +337,7 @@ def _in_folders(tables: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _read_tables(recording: PacketFile) -> dict[str, dict[str, Any]]:
-    """Returns the tables of every recorded scene and robot file by name. Raises RecordingError."""
+    """Returns the tables of recorded scene and robot files by file name. Raises RecordingError."""
     found = {}
     for name in table_names(recording):
         if name.endswith(".toml"):

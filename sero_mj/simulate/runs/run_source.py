@@ -1,4 +1,4 @@
-"""`RunSource`: a finished run, or one that is simulated while it is shown, as a source."""
+"""`RunSource`: a source for a finished run, or for a run that is simulated while it is shown."""
 
 from __future__ import annotations
 
@@ -19,20 +19,21 @@ from .monitor import Finding
 
 log = logging.getLogger(__name__)
 
-_AGE, _OLD = "_command_age", 0.02  # s, age of a command that is reported
+# Suffix of the events with ages of commands, and minimum age that is reported, s.
+_AGE, _OLD = "_command_age", 0.02
 
 
 class Run(Protocol):
-    """A run that a `RunSource` shows: a `FinishedRun`, or a `Simulation`, which computes rows.
+    """The run that a `RunSource` shows: a `FinishedRun`, or a `Simulation`, which computes rows.
 
     Attributes:
         about: title for users.
-        structure: structure of a row as a packet, whose first value is the time in seconds.
-        rows: log (T, width), float64, in chronological order.
+        structure: packet structure of a row, whose first value is the time in seconds.
+        rows: rows of the log in chronological order, shape (T, width), float64.
         times: times of the rows, shape (T,), s; also correct for rows that are not computed yet.
         step: index of the last computed row.
-        drag_force: applies drag forces to links; None if that is not possible.
-        live: changes targets and controllers; None if that is not possible.
+        drag_force: object that applies drag forces to links; None if that is not possible.
+        live: object that changes targets and controllers; None if that is not possible.
     """
 
     @property
@@ -59,12 +60,12 @@ class Run(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """A complete run.
+    """A run whose rows are all computed.
 
     Attributes:
         about: title for users.
-        structure: structure of a row as a packet, whose first value is the time in seconds.
-        rows: log (T, width), float64, in chronological order.
+        structure: packet structure of a row, whose first value is the time in seconds.
+        rows: rows of the log in chronological order, shape (T, width), float64.
     """
 
     about: str
@@ -90,13 +91,13 @@ class FinishedRun:
 
 
 class RunSource(Source):
-    """The rows of a run as packets, which are received when the clock reaches their times.
+    """A source that receives the rows of a run as packets when the clock reaches their times.
 
-    It has no thread: the caller passes the time to `advance_to`, so a video does not depend on the
+    It has no thread. The caller passes the time to `advance_to`, so a video does not depend on the
     speed of rendering. If a simulation cannot continue, it stops, and `error` has the reason.
 
     Attributes:
-        run: the run.
+        run: run whose rows are received.
         error: error that stopped the run, or None.
         end: time of the last row, s.
         step: median time between two rows, s.
@@ -112,7 +113,7 @@ class RunSource(Source):
     _error: SimulationError | None = PrivateAttr(None)
 
     def __reduce__(self) -> Any:
-        """Pickles the declaration; a finished run is pickled as its rows."""
+        """Pickles the declaration. A finished run is pickled as a `FinishedRun`."""
         make, (kind, fields) = super().__reduce__()
         run = self.run
         if run.step >= len(run.rows) - 1:
@@ -150,9 +151,9 @@ class RunSource(Source):
         return f"{self.run.about}, {self.end:g} s"
 
     def link_state(self, values: Mapping[str, Array]) -> tuple[float, float]:
-        """Returns the age of the oldest command of external controllers in seconds, and 0.
+        """Returns the maximum age of external controllers' commands in seconds, and 0.
 
-        Returns -1 twice if there are no external controllers.
+        If there are no external controllers, both values are -1.
         """
         ages = [float(values[event][0]) for event in self.events if event.endswith(_AGE)]
         return (max(ages), 0.0) if ages else (-1.0, -1.0)
@@ -173,7 +174,7 @@ class RunSource(Source):
         self.advance_to(0.0)
 
     def close(self) -> None:
-        """Ends programs that control the robots. If the run is shown again, it restarts them."""
+        """Ends the programs that control robots. They restart if the run is shown again."""
         end = getattr(self.run, "close", None)
         if end is not None:
             end()
@@ -185,7 +186,7 @@ class RunSource(Source):
         return -1
 
     def advance_to(self, time: float) -> None:
-        """Receives all rows up to a time in seconds; computes missing ones."""
+        """Receives all rows up to a time in seconds, and computes missing rows."""
         run = self.run
         times = run.times
         row = int(np.searchsorted(times, time + 1e-9, side="right")) - 1

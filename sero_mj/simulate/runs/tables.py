@@ -21,11 +21,11 @@ from .run_log import RunLog
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Column names in the tables of a program; an entry point in the group `sero_mj.columns`.
+    """Column names in the tables of a program, an entry point in the group `sero_mj.columns`.
 
     Attributes:
-        names: signal to column names, in lower case and without number, joint and unit.
-        opposite: names of columns whose numbers have the opposite sign of ours.
+        names: column names by signal, in lower case, without number, joint and unit.
+        opposite: names of columns whose values have the opposite sign.
         prefixes: prefixes that column names may have.
     """
 
@@ -35,10 +35,10 @@ class ColumnNames:
 
 
 class Tables(ABC):
-    """Reads tables for the commands; an entry point in the group `sero_mj.tables`.
+    """A reader of tables for the commands, an entry point in the group `sero_mj.tables`.
 
-    `columns` are the declared columns of signals; signals without an entry are recognized by the
-    names of their columns. All methods raise CsvError if the table cannot be read or has no such
+    The argument `columns` contains the declared columns of signals. Other signals are recognized by
+    the names of their columns. All methods raise CsvError if the table cannot be read or lacks
     columns.
     """
 
@@ -46,20 +46,20 @@ class Tables(ABC):
     def move_scene(
         self, scene: Scene, file: Path, columns: Columns, start: float | None, source: str | None
     ) -> None:
-        """Replaces the sources of a scene by a table.
+        """Replaces the sources of a scene with a table.
 
         Args:
             start: time after the first row at which playback begins, s.
-            source: name of the source whose packets the table has; None to find it.
+            source: name of the source whose packets the table contains (default: detected).
         """
 
     @abstractmethod
     def read_run(self, file: Path, scene: Scene, source: str | None, columns: Columns) -> RunLog:
-        """Reads a table of the robots of a scene as a run."""
+        """Reads a table with signals of a scene's robots as a run."""
 
     @abstractmethod
     def read_motion(self, file: Path, robot: SerialRobot) -> tuple[Array, Array]:
-        """Returns the times (T,) and joint angles (T, n) of a robot."""
+        """Returns the times, shape (T,), s, and the joint angles of a robot, shape (T, n)."""
 
     @abstractmethod
     def open_playback(
@@ -77,13 +77,13 @@ class Tables(ABC):
 
         Args:
             structure: structure of the packets.
-            rate: rows per second, for a table without times.
-            declared: structure of the packets as text, if it is not that of the source.
+            rate: number of rows per second, for a table without times.
+            declared: text of the packet structure if it differs from that of the source.
         """
 
 
 def find_tables(file: Path) -> Tables:
-    """Returns the installed reader for a table; raises UsageError if there is none."""
+    """Returns the installed reader of tables. Raises UsageError if there is none."""
     found: Tables | None = load_first(TABLES, Tables)
     if found is None:
         raise UsageError(f"{file}: no extension that reads tables is installed")

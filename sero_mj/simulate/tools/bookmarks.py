@@ -21,11 +21,11 @@ from ..runs.monitor import Monitor
 from ..runs.run_recording import read_run
 from ..runs.run_source import RunSource
 
-_MAX_COUNT = 1000  # maximum number of marks, and of faults
-_MIN_INTERVAL = 0.5  # s between two faults of the same kind at a joint
-_SAME = 1e-3  # s
+_MAX_COUNT = 1000  # maximum number of faults
+_MIN_INTERVAL = 0.5  # minimum time between two faults of the same kind at a joint, s
+_SAME = 1e-3  # tolerance for equal times, s
 _AGE = SOURCE_FIELDS.index("age")
-# Counters of a source, and their meaning.
+# Counters of a source, and their names in messages.
 _LOSSES = {"lost": "lost", "dropped": "dropped", "malformed": "not applied"}
 _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 
@@ -33,9 +33,9 @@ _COLUMNS = [SOURCE_FIELDS.index(name) for name in _LOSSES]
 class Bookmarks(Tool):
     """Marks set by the user, and faults that a monitor detects in simulations and recordings.
 
-    Live sources are monitored continuously. The detected faults are: joints beyond their torque or
-    angle limits, torque errors above the monitor's share of the limit, silent sources, and packets
-    that are lost or not applied.
+    Live sources are monitored continuously. Their faults are joints beyond torque or angle limits,
+    torque errors above the monitor's threshold, silent sources, and packets that are lost or not
+    applied.
     """
 
     order: ClassVar[int] = 60
@@ -75,7 +75,7 @@ class Bookmarks(Tool):
         }
 
     def mark(self) -> str:
-        """Marks the shown time; returns a message."""
+        """Marks the shown time, and returns a message."""
         self._marks.append(self._clock.time)
         return f"marked {time_text(self._clock.time)}: e and w go to the next and previous mark"
 
@@ -145,7 +145,7 @@ class Bookmarks(Tool):
         return [each for each in found if each.time >= self._clock.begin]
 
     def go(self, places: int) -> str:
-        """Goes to the next bookmark, or with -1 to the previous one; returns a message."""
+        """Goes to the next (1) or previous (-1) bookmark, and returns a message."""
         clock = self._clock
         if self._of_recordings is None:
             self._of_recordings = self._search()

@@ -1,4 +1,4 @@
-"""`Pulling`: pulls links of simulated robots with the pointer, or shows why it cannot."""
+"""`Pulling`: pulls links of simulated robots with the pointer, or shows why this is impossible."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...viewer.tools.handle_drag import target_of
 from ..runs.run_source import RunSource
 from ..save_pushes import save_pushes, save_run
 
-_SAME_TIME = 1e-6  # s
+_SAME_TIME = 1e-6  # tolerance for equal times, s
 
 
 class Pulling(Tool):
@@ -66,7 +66,7 @@ class Pulling(Tool):
             return Grab(str(error), is_refused=True)
         self.is_on, self._at = True, at
         self._show_card()
-        paused = "; it acts when the simulation continues" if self._clock.is_paused else ""
+        paused = "; the force acts when the simulation continues" if self._clock.is_paused else ""
         return Grab(f"pulls {frame} with {self._strength()}{paused}")
 
     def announce(self, at: Pixel) -> Grab | None:
@@ -88,7 +88,7 @@ class Pulling(Tool):
             return f"the simulation has stopped: {self._source.error}"
         now, run = self._clock.time, self._source.run
         if now < run.time - run.scenario.run.timestep - _SAME_TIME:
-            return f"the past cannot be changed: continue at {run.time:.2f} s, the current time"
+            return f"the past cannot be changed. Return to the current time, {run.time:.2f} s"
         if self._clock.is_at_end:
             return f"the run has ended at {run.time:g} s; --set run.duration=60 extends it"
         return ""
@@ -133,7 +133,7 @@ class Pulling(Tool):
             self._toggles.cards[self._card], self._card = False, None
 
     def _keep(self) -> str:
-        """Saves the pushes, see `save_pushes`, or only the run; returns a message.
+        """Saves the pushes with `save_pushes`, or only the run, and returns a message.
 
         Raises:
             SeroError: there are no pushes, or the file cannot be written.

@@ -22,16 +22,16 @@ from ..live_control import LiveRobot
 from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel
 
-_PAST = 0.1  # s; older times, relative to the newest time, are the past
-_NEAR = 5.0  # pixels, maximum distance of the pointer from a handle
+_PAST = 0.1  # time before the newest time from which on the past is shown, s
+_NEAR = 5.0  # maximum distance of the pointer from a handle, pixels
 
 
 class Steering(Tool):
     """Moves the targets of simulated robots.
 
     Attributes:
-        robots: mapping from names to robots whose target and controller can be changed.
-        goals: mapping from the names of these robots to the joint goals of the targets.
+        robots: robots whose target and controller can be changed, by name.
+        goals: joint goals of the targets of these robots, by name of the robot.
         selected: name of the robot whose target has handles.
         has_handles: whether handles are shown.
         is_on: whether a target is being dragged.
@@ -91,7 +91,7 @@ class Steering(Tool):
         set_goals(self.goals, state)
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """Returns the target of the selected robot."""
+        """Returns title, joint goal and base frame of the selected robot's target."""
         if not self.goals:
             return None
         name = self.selected if self.selected in self.goals else next(iter(self.goals))
@@ -108,14 +108,14 @@ class Steering(Tool):
         return "" if self.source is None or self.source.error is None else f"{self.source.error}"
 
     def start_again(self) -> str:
-        """Restarts the simulation after an error; returns a message for the user."""
+        """Restarts the simulation after an error, and returns a message for the user."""
         self.source.start_again()
         self._find_robots()
         self._clock.go_to_start()
-        return "from the declared pose"
+        return "restarted from the initial pose"
 
     def choose(self, robot: str, control: str) -> str:
-        """Changes the controller of a robot; returns a message for the user."""
+        """Changes the controller of a robot, and returns a message for the user."""
         self.selected = robot
         why = self.robots[robot].choose(control)
         self.goals[robot].follow(self.robots[robot].goal)
@@ -151,7 +151,7 @@ class Steering(Tool):
             self._toggles.handles = Handles(pose, lit, goal.mark)
 
     def hover(self, at: Pixel | None) -> bool:
-        """Highlights the handle under the pointer; returns whether there is one."""
+        """Highlights the handle under the pointer, and returns whether there is one."""
         found = None if at is None else self.shown.decor.handle_at(at, _NEAR)
         self._lit = -1 if found is None else found
         return found is not None
@@ -204,12 +204,12 @@ class Steering(Tool):
         self._at = at
 
     def drag(self) -> str:
-        """Moves the target to the pointer; returns the reason if this is impossible."""
+        """Moves the target to the pointer. Returns the reason if this is impossible."""
         view = self.shown.decor.view
         if view is None or not self.is_on:
             return ""
         if self.is_past:
-            return "the past cannot be changed: End returns to the current time"
+            return "the past cannot be changed. Press End to return to the current time"
         if self._handle is not None:
             handle, pose, begin = self._handle
             goal, base = self.goals[self.selected], self.base(self.selected)

@@ -14,11 +14,11 @@ from ...viewer.session.widgets import Widgets
 from ..control.controller import Slider
 from ..live_control import LiveRobot
 
-_SLIDER = 9.5  # width, as a multiple of the text height
+_SLIDER = 9.5  # width of sliders, as a multiple of the text height
 
 
 class Steered(Protocol):
-    """Interface of `Steering` that the panel uses."""
+    """The interface of `Steering` that the panel uses."""
 
     robots: dict[str, LiveRobot]
     goals: dict[str, JointGoal]
@@ -33,7 +33,7 @@ class Steered(Protocol):
 
 
 class SteeringPanel:
-    """The panel for robots whose targets and controllers can be changed."""
+    """The panel of `Steering`, which changes the targets and controllers of simulated robots."""
 
     def __init__(self, steering: Steered, say: Callable[[str], None]) -> None:
         self._steering, self._say = steering, say

@@ -91,7 +91,7 @@ class FeatureSettings(Declaration):
 
 
 class Feature:
-    """Base class of visual features, which draw something into each frame of a world.
+    """Base class of visual features, which add geoms and text to each frame of a world.
 
     For each frame, `lay_out` of all features is called. Then text is drawn, and `draw` of all
     features is called. If the number of geoms exceeds the capacity, geoms added by `draw` are

@@ -36,24 +36,23 @@ from .pointer import Pointer
 
 log = logging.getLogger(__name__)
 
-_JUMP = 1.0  # step of the keys for back and forward, s
+_JUMP = 1.0  # time step of the keys for back and forward, s
 SECTION = "section "  # prefix of section names in a layout
-_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # s
+_MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # display times, s
 
 
 class LiveHost(ABC):
-    """Shows a mirror, and passes user input to clock, switches and tools.
+    """Base class of the window and the web page that show a scene and handle user input.
 
     Args:
-        folder: directory of saved files, images and videos; the current directory if None.
+        folder: directory for exported files, images and videos; None for the current directory.
 
     Attributes:
         joint: index of the selected joint in the world.
-        command: arguments of the command that shows this scene; None for the scene's arguments.
+        command: command-line arguments that open this scene; None for the argument of the scene.
         notice: last message to the user.
-        folds: open or closed sections, shared by all panels, see `Widgets`.
-        work: time spent on input, sources, decor, plots and panels in the last frame, without
-            rendering, s.
+        folds: mapping from titles of collapsible panel sections to whether they are open.
+        work: computing time of the last frame in seconds, without rendering.
     """
 
     decor: SceneDecor
@@ -64,7 +63,7 @@ class LiveHost(ABC):
     ) -> None:
         world = mirror.world
         self.navigator = Navigator(world, camera)
-        # Before the plots listen to packets.
+        # This moves recordings in time, so it must come before plots listen to packets.
         self.navigator.hold(recorded_poses(mirror), DEFAULT_SIZE)
         self.mirror, self.world, self.data = mirror, world, mirror.data
         self.toggles = Toggles(world)
@@ -124,7 +123,7 @@ class LiveHost(ABC):
 
     @abstractmethod
     def frame(self, *, wait: bool = True) -> bool:
-        """Shows one frame; returns whether the window or page is still open."""
+        """Shows one frame, and returns whether the window or page is still open."""
 
     @property
     @abstractmethod
@@ -132,7 +131,7 @@ class LiveHost(ABC):
 
     @abstractmethod
     def image(self) -> Pixels:
-        """Returns the current image, (height, width, 3), uint8, without status line and panels."""
+        """Returns the current image without panels: uint8 array, shape (height, width, 3)."""
 
     @property
     def view_camera(self) -> mujoco.MjvCamera:
@@ -162,7 +161,7 @@ class LiveHost(ABC):
             decor.add(DrawnTool(tool, self.tools))
 
     def _advance(self, passed: float) -> None:
-        """Advances tools and clock by a real time, s."""
+        """Advances the clock by `passed` seconds of real time, and updates the tools."""
         now = time.monotonic()
         since, self._advanced = now - self._advanced, now
         self.pointer.dragging.advance()
@@ -172,7 +171,7 @@ class LiveHost(ABC):
             self.clock.on_state = self._watch if needs_all else None
         try:
             self.clock.advance(passed)
-        except SeroError as error:  # for example a deleted file; the display does not change
+        except SeroError as error:  # If a file was deleted, the last state remains visible.
             self.clock.is_paused = True
             self.say(str(error), is_bad=True)
         if not (self.clock.is_live or self.clock.is_paused):
@@ -187,12 +186,12 @@ class LiveHost(ABC):
     # ---- messages, panel and keys
 
     def say(self, text: str, is_bad: bool = False) -> None:
-        """Shows a message for a few seconds; an empty string removes the last message."""
+        """Shows a message for a few seconds. An empty string removes the current message."""
         seconds = (_ERROR_TIME if is_bad else _MESSAGE_TIME) if text else 0.0
         self.notice = Message(without_temporary(text), is_bad, time.monotonic() + seconds)
 
     def toggle(self, part: str) -> None:
-        """Shows or hides a part: `shows_help`, `shows_status` or `shows_panel`."""
+        """Inverts one of the attributes `shows_help`, `shows_status` and `shows_panel`."""
         setattr(self, part, not getattr(self, part))
 
     @property
@@ -223,7 +222,7 @@ class LiveHost(ABC):
 
     @property
     def layout(self) -> dict[str, bool]:
-        """Whether status line, panel and areas are shown and sections are open, by name."""
+        """Mapping from names of panels, areas and sections to whether they are visible or open."""
         areas = {name: tool.shows_area for name, tool in self.tools.items() if tool.area}
         sections = {f"{SECTION}{name}": is_open for name, is_open in self.folds.items()}
         return {"status": self.shows_status, "panel": self.shows_panel, **areas, **sections}
@@ -241,12 +240,12 @@ class LiveHost(ABC):
         return view_state_of(self.world, self.view_camera, self.toggles, self.clock)
 
     def render_words(self) -> list[str]:
-        """Returns the arguments of `sero-mj render` for scene, camera, switches and selection."""
+        """Returns the arguments with which `sero-mj render` reproduces the current view."""
         words = [*(self.command or [self.world.scene.argument])]
         state = self.view_state()
         for of_tool in self.tools.call_all(lambda tool: tool.render_words()):
             words += of_tool
-        # If a photo in the background fixes the camera, no option reproduces the camera.
+        # If a background photo fixes the camera, no option can reproduce the camera.
         if not self.decor.fixed:
             words += ["--camera", state.camera]
         for name, digits in state.switches.items():

@@ -16,15 +16,15 @@ log = logging.getLogger(__name__)
 
 
 class OtherScenes:
-    """Closes a window or page when its user opens another scene.
+    """Opens another scene from a window or page, which then closes.
 
     Attributes:
         offers: mapping from button labels to functions that open a scene. If a function returns
             None, the viewer closes without opening another scene.
         opener: function that opens a dropped file; None if files cannot be opened.
-        chosen: mirror of the scene to show next, if any.
-        request: request of the scene's file to run programs that are not allowed yet, if any.
-        asks: whether the dialog about the request is shown.
+        chosen: mirror of the next scene, or None.
+        request: request of the scene's file to run programs that are not allowed yet, or None.
+        asks: whether the dialog about `request` is shown.
     """
 
     def __init__(self, say: Callable[[str, bool], None], close: Callable[[], object]) -> None:
@@ -44,15 +44,15 @@ class OtherScenes:
             self.asks = True
 
     def take(self, label: str) -> None:
-        """Opens the scene of an offer, or shows an error message."""
+        """Opens the scene of a button label in `offers`, or shows an error message."""
         self._open(self.offers[label])
 
     def ask(self, request: Request, allowed: Callable[[], Mirror]) -> None:
-        """Shows the dialog about the programs of a file.
+        """Shows the dialog that asks the user to allow the programs of a file.
 
         Args:
-            allowed: function that returns a mirror that simulates the file, called after the user
-                has allowed the programs.
+            request: request to run the programs.
+            allowed: function that opens the file as a simulation after the user has agreed.
         """
         self.request, self._allowed, self.asks = request, allowed, True
 
@@ -72,7 +72,7 @@ class OtherScenes:
             self._open(self._allowed)
 
     def open_file(self, path: Path) -> bool:
-        """Opens a scene, robot or recording; shows an error and returns False if this fails."""
+        """Opens a scene, robot or recording. Returns False and shows an error if this fails."""
         opener = self.opener
         if opener is None:
             self._say(f"{path.name}: only `sero-mj view` opens dropped files", True)
@@ -85,7 +85,7 @@ class OtherScenes:
         except SeroError as error:
             self._say(str(error), True)
             return False
-        except Exception as error:  # a malformed file must not end the viewer
+        except Exception as error:  # A malformed file must not end the viewer.
             log.exception("a file cannot be opened")
             self._say(f"the file cannot be opened: {type(error).__name__}: {error}", True)
             return False

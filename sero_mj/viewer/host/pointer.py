@@ -22,7 +22,7 @@ _OF_JOINTS = ("link", "double", "arrow", "billboard")  # kinds of items that bel
 
 @dataclass
 class ClickDetector:
-    """Distinguishes double clicks from clicks, and reverts the first click of a double click."""
+    """Detects double clicks, and reverts the action of the first click of a double click."""
 
     world: WorldView
     toggles: Toggles
@@ -34,7 +34,7 @@ class ClickDetector:
     def press(
         self, picked: Picked | None, pixel: Pixel, time: float, *, shift: bool = False
     ) -> Gesture:
-        """Performs the action of a press of the mouse button, and returns the gesture."""
+        """Performs the action of a mouse click, and returns the detected gesture."""
         apart = max(abs(a - b) for a, b in zip(pixel, self._where, strict=True))
         second = time - self._when <= DOUBLE_CLICK_TIME and apart <= DOUBLE_CLICK_DISTANCE
         if second and not shift:
@@ -52,12 +52,12 @@ class ClickDetector:
 
 
 class Pointer:
-    """Handles the pointer in the image of a window or page.
+    """Handles the mouse pointer in the image of a window or page.
 
     Attributes:
-        at: pixel of the pointer; None outside the image.
+        at: position of the pointer in pixels; None outside the image.
         dragging: handler of drags and wheel events.
-        on_click: called with the clicked item and the gesture.
+        on_click: function called with the clicked item and the gesture, or None.
     """
 
     def __init__(self, shown: Shown) -> None:
@@ -68,7 +68,7 @@ class Pointer:
         self._clicks = ClickDetector(shown.world, shown.toggles)
 
     def hover(self, *, is_free: bool) -> bool:
-        """Shows the name of the item under the pointer; returns whether a handle is there.
+        """Shows the name of the item under the pointer, and returns whether it is a drag handle.
 
         Args:
             is_free: whether nothing is dragged and no panel is under the pointer.
@@ -91,7 +91,7 @@ class Pointer:
         """Performs the action of a click.
 
         Args:
-            picked: clicked item; None for the item at the clicked pixel.
+            picked: clicked item; None to search for an item at the clicked pixel.
         """
         shown, at = self._shown, (clicked.x, clicked.y)
         if clicked.center:
@@ -121,18 +121,18 @@ class Pointer:
 
 
 class Dragging:
-    """Passes drags to the tools.
+    """Passes mouse drags and wheel events to the tools of a window or page.
 
     Args:
-        say: function that shows a message; its second argument is whether the message is an error.
-            An empty string removes the last message.
+        say: function that shows a message. Its second argument is whether the message is an error.
+            An empty string removes the current message.
     """
 
     def __init__(self, tools: Tools, say: Callable[[str, bool], None]) -> None:
         self._tools, self._say = tools, say
-        self._tool: Tool | None = None  # the tool that handles the current drag
+        self._tool: Tool | None = None  # tool that handles the current drag
         self._trouble = ""
-        self._tried: Pixel | None = None  # start of the last drag that was searched for a handle
+        self._tried: Pixel | None = None  # start of the last drag that was tested for a handle
         self._is_refused = False
 
     def take(
@@ -141,12 +141,13 @@ class Dragging:
         """Passes a drag or wheel event to a tool.
 
         Args:
-            at: pixel of the pointer; None outside the image.
-            begin: pixel where the button was pressed with Ctrl; None for other drags.
-            pressed: pixel where the left button was pressed, with or without Ctrl.
+            moved: drag or wheel event.
+            at: position of the pointer in pixels; None outside the image.
+            begin: pixel at which the button was pressed with Ctrl; None for other drags.
+            pressed: pixel at which the left button was pressed, with or without Ctrl.
 
         Returns:
-            whether a tool has handled the event; the camera then does not move.
+            whether a tool has handled the event. If so, the camera must not move.
         """
         if self._tool is not None and moved.how == "zoom":
             text = self._tools.call(self._tool, lambda tool: tool.wheel(moved.down))
@@ -154,7 +155,7 @@ class Dragging:
                 self._say(text, False)
                 return True
         if self._tool is None and pressed is not None and self._tried != moved.pressed:
-            self._tried = moved.pressed  # a handle is only grabbed where the drag starts
+            self._tried = moved.pressed  # A handle can only be grabbed at the start of a drag.
             self._begin(self._tools.first(lambda tool: tool.grab_handle(pressed)))
         if moved.pulls_from is None and self._tool is None:
             return False
@@ -174,7 +175,7 @@ class Dragging:
             self._say(grab.text, grab.is_refused)
 
     def announce(self, at: Pixel) -> bool:
-        """Shows what a long press at a pixel would drag; returns whether it would drag anything."""
+        """Shows which item a long press at a pixel would drag, and returns whether there is one."""
         found = self._tools.first(lambda tool: tool.announce(at))
         if found is None:
             return False
@@ -183,7 +184,7 @@ class Dragging:
 
     def advance(self) -> None:
         if self._tool is None or self._tool not in self._tools.values():
-            self._tool = None  # the tool may have failed and been removed
+            self._tool = None  # A tool that fails is removed.
             return
         trouble = self._tools.call(self._tool, lambda tool: tool.drag()) or ""
         if trouble or self._trouble:

@@ -1,4 +1,4 @@
-"""Saves the view when a window or page is closed, and restores the view at the next start."""
+"""Saves the view when a window or page closes, and restores it at the next start."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from .live import LiveHost
 
 
 def save(host: LiveHost) -> None:
-    """Saves camera, switches, selection, layout and the states of tools."""
+    """Saves the camera, switches, selection, layout and tool states of a window or page."""
     save_view(host.world.scene, host.view_state(), host.layout, host.tools.saved_state)
 
 
 def restore(host: LiveHost, *, with_camera: bool = True) -> None:
-    """Restores the saved view of the scene, if any."""
+    """Restores the last saved view of the scene, or does nothing if there is none."""
     try:
         found = load_view(host.world.scene)
     except UsageError as error:
@@ -29,7 +29,7 @@ def restore(host: LiveHost, *, with_camera: bool = True) -> None:
 
 
 def show_state(host: LiveHost, state: ViewState) -> None:
-    """Applies a view to a window or page, and reports the first setting that does not fit."""
+    """Applies a saved view to a window or page, and shows the first setting that is invalid."""
     camera, joint, errors = apply_state(host.world, host.toggles, state)
     if camera is not None:
         copy_camera(camera, host.view_camera)

@@ -1,6 +1,6 @@
-"""`StartPage`: lists recent views, included scenes and robots, and expected packets.
+"""`StartPage`: the recent views, included scenes and robots that a user can open.
 
-`window/start_window.py` and `web/start_host.py` display it.
+`window/start_window.py` and `web/start_host.py` display the start page.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ..session.status_line import Message, Mood
 
 log = logging.getLogger(__name__)
 
-# Function that opens the chosen scene. The page shows the message of a SeroError.
+# An opener returns the chosen scene. If it raises a SeroError, the start page shows the message.
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
@@ -39,12 +39,12 @@ DROP_HINT = (
 )
 SEARCH_HINT = "search scenes and robots"
 MORE_HINT = "`sero-mj list` lists all scenes and robots, `sero-mj --help` all commands."
-# Robots that are parts of other robots are listed last.
+# These robots are parts of other robots, so they are listed last.
 _PARTS = ("biped_leg", "dlr_hand2_finger", "hit_finger", "justin_head", "justin_torso",
           "justin_wheel", "space_justin_torso", "ups_leg")  # fmt: skip
-# Kinds of sources that only listen.
+# The start page may open sources of these kinds, because they send nothing.
 _LISTENING_KINDS = ("udp", "shm")
-_ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # s
+_ERROR_TIME, _OPENING_TIME = 12.0, 60.0  # display times of messages, s
 
 
 class Tile(NamedTuple):
@@ -52,7 +52,7 @@ class Tile(NamedTuple):
 
     Attributes:
         about: one-line description.
-        image: image file, if any.
+        image: path of the preview image, or None.
     """
 
     view: RecentView
@@ -62,14 +62,14 @@ class Tile(NamedTuple):
 
 
 class Section(NamedTuple):
-    """A titled group of tiles."""
+    """A group of tiles with a title on the start page."""
 
     title: str
     tiles: list[Tile]
 
 
 def sections() -> list[Section]:
-    """Returns all sections, recent views first."""
+    """Returns all sections of the start page that are not empty, with recent views first."""
     models, parts, scenes = paths.list_models(), set(_PARTS), paths.list_scenes()
     found = [
         Section("Recent views", [_recent_tile(view) for view in recent_views()]),
@@ -132,6 +132,7 @@ class ExpectedPackets(NamedTuple):
     """The packets that scenes expect at one address.
 
     Attributes:
+        where: description of the address.
         views: mapping from packet sizes in bytes to the views that show packets of this size.
         rates: mapping from packet sizes in bytes to the number of packets received per second.
         trouble: reason why no packets can be received at the address, or an empty string.
@@ -144,14 +145,14 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """Command that sends example packets; empty if packets arrive or cannot be received."""
+        """Command that sends example packets. Empty if packets arrive or cannot be received."""
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"
 
     @property
     def packets(self) -> str:
-        """Expected packet sizes, with the scenes that show packets of each size."""
+        """Text with the expected packet sizes and, for each size, the scenes that show it."""
         parts: list[str] = []
         for size, views in sorted(self.views.items()):
             names = ", ".join(Path(view.scene).name for view in views)
@@ -182,13 +183,13 @@ class ExpectedPackets(NamedTuple):
 
 
 class _Place:
-    """An address, and the numbers of packets received there, by packet size."""
+    """An address at which scenes expect packets, with packet counts by packet size."""
 
     def __init__(self, source: Source) -> None:
         self.source = source
-        self.views: dict[int, list[RecentView]] = {}  # by packet size
+        self.views: dict[int, list[RecentView]] = {}  # keys: packet sizes
         self.trouble = ""
-        self._counts: dict[int, Counter[int]] = {}  # packets in each second, by packet size
+        self._counts: dict[int, Counter[int]] = {}  # packets per second, by packet size
         self._last: dict[int, float] = {}
 
     def open(self) -> None:
@@ -219,7 +220,7 @@ class _Place:
 
 
 class PortMonitor:
-    """Monitors the ports of scenes for packets; a context manager."""
+    """Context manager that counts the packets arriving at the addresses of scenes."""
 
     def __init__(self, views: list[RecentView]) -> None:
         self._places: dict[object, _Place] = {}
@@ -230,7 +231,7 @@ class PortMonitor:
                 place.views.setdefault(source.size, []).append(view)
         for place in self._places.values():
             for each in place.views.values():
-                each.sort(key=lambda view: len(view.scene))  # the simplest scene first
+                each.sort(key=lambda view: len(view.scene))  # The simplest scene has a short name.
 
     def __enter__(self) -> Self:
         for place in self._places.values():
@@ -242,13 +243,13 @@ class PortMonitor:
             place.close()
 
     def expected(self) -> list[ExpectedPackets]:
-        """Returns the expected packets by address; addresses with packets come first."""
+        """Returns the expected packets of each address. Addresses with packets come first."""
         found = [place.expected() for place in self._places.values()]
         return sorted(found, key=lambda each: (not each.rates, each.where))
 
 
 def listening() -> PortMonitor:
-    """Returns a monitor for all included and recent scenes."""
+    """Returns a monitor of the ports of all included and recent scenes."""
     recent = [view for view in recent_views() if not view.replay]
     shipped = [RecentView(name) for name in paths.list_scenes()]
     return PortMonitor(list(dict.fromkeys([*recent, *shipped])))
@@ -275,8 +276,9 @@ class StartPage:
     """The contents of the start page, and the scene that the user has chosen.
 
     Attributes:
-        chosen: mirror of the opened scene, if any.
-        tiles: all tiles.
+        chosen: mirror of the opened scene, or None.
+        tiles: tiles of all sections.
+        notice: last message to the user.
     """
 
     def __init__(self, opener: Opener, listening: PortMonitor) -> None:
@@ -291,7 +293,7 @@ class StartPage:
         return self._listening.expected()
 
     def found(self, words: str) -> list[Section]:
-        """Returns the sections with the tiles whose title or description contains all words."""
+        """Returns the sections with only those tiles whose text contains all words."""
         each = words.lower().split()
         found = [
             Section(title, [tile for tile in tiles if _has(tile, each)])
@@ -300,7 +302,7 @@ class StartPage:
         return [section for section in found if section.tiles]
 
     def choose(self, what: RecentView | Path) -> None:
-        """Requests a view or file, which `open_next` opens; can be called from any thread."""
+        """Requests that `open_next` opens a view or file. Can be called from any thread."""
         name = what.name if isinstance(what, Path) else Path(what.replay or what.scene).name
         self.notice = Message(f"opening {name} ...", until=time.monotonic() + _OPENING_TIME)
         self._wanted.put(what)
@@ -310,10 +312,10 @@ class StartPage:
         return not self._wanted.empty()
 
     def open_next(self, patience: float) -> bool:
-        """Opens the next requested view or file; returns whether a scene is now open.
+        """Opens the next requested view or file, and returns whether a scene is now open.
 
         Args:
-            patience: time to wait for a request, s.
+            patience: maximum time to wait for a request in seconds.
         """
         try:
             self.chosen = self._opener(self._wanted.get(timeout=patience))
@@ -321,7 +323,7 @@ class StartPage:
             pass
         except SeroError as error:
             self._refuse(without_temporary(str(error)))
-        except Exception as error:  # a malformed file must not end the viewer
+        except Exception as error:  # A malformed file must not end the viewer.
             log.exception("a file cannot be opened")
             self._refuse(f"the file cannot be opened: {type(error).__name__}: {error}")
         return self.chosen is not None

@@ -234,7 +234,7 @@ def copy_camera(camera: mujoco.MjvCamera, to: mujoco.MjvCamera) -> None:
 
 
 TIME_CONSTANT = 0.4  # time constant of the low-pass filter, s
-_JUMP = 1.0  # s; after longer steps, or steps back in time, the camera moves immediately
+_JUMP = 1.0  # maximum time step in s; after longer or negative steps, the camera moves immediately
 
 
 def roots(world: WorldView, name: str) -> list[str]:

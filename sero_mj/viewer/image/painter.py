@@ -22,7 +22,7 @@ log = logging.getLogger(__name__)
 
 
 class Painter(ABC):
-    """A renderer that draws a world into images and handles clicks on them; a context manager.
+    """Context manager that renders a world into images and handles clicks on these images.
 
     Attributes:
         decor: arrows, billboards and other visual features of the last frame.

@@ -1,4 +1,4 @@
-"""Captures poses, values and decor of each frame of a scene for the player, without OpenGL.
+"""Captures poses, values and overlays of each frame of a scene for the player, without OpenGL.
 
 The player places everything that depends on the camera, such as billboards.
 """
@@ -37,23 +37,23 @@ from .model import visible_geoms
 from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
-DEFAULT_SECONDS = 10.0  # duration of a run whose sources have no end
-MAX_BYTES = 128_000_000  # maximum size of a run in the memory of a browser
+DEFAULT_SECONDS = 10.0  # duration of a captured run if the sources have no end
+MAX_BYTES = 128_000_000  # maximum size of a run in the browser's memory
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # for round arrows at frames; the player draws the round arrows of joints
+_ARROW_GEOMS = 24  # geoms of a round arrow at a frame; the player draws the arrows of joints
 _SIZE = (1280, 800)  # pixels; some decor depends on the size of the image
 
 
 @dataclass(frozen=True)
 class Mark:
-    """An event on the timeline.
+    """An event on the timeline of an exported page.
 
     Attributes:
-        begin: time since the start of the page, s.
-        end: end of the event, s; equal to `begin` for an instant.
+        begin: start time of the event in seconds since the start of the page.
+        end: end time of the event in seconds; equal to `begin` for an instant.
         text: description of the event.
-        kind: `push` or `fault` (scenario), `finding` (monitor), `bookmark` (user), `held` or
-            `failed` (expectation).
+        kind: origin of the event: `push` or `fault` of a scenario, `finding` of a monitor,
+            `bookmark` of the user, or `held` or `failed` for an expectation.
     """
 
     begin: float
@@ -64,13 +64,13 @@ class Mark:
 
 @dataclass(frozen=True, eq=False)
 class DecorItem:
-    """A geom of decor in F frames.
+    """A geom of an arrow, frame or other overlay in all F frames of a run.
 
     Attributes:
         kind: kind of the item that the geom belongs to.
-        item: index of the item, see `Kind`.
+        item: index of the item among the items of its kind.
         rows: state of the geom in each frame, shape (F,), dtype `GEOM`.
-        visible: whether the geom is drawn in each frame, shape (F,), bool.
+        visible: mask of the frames that show the geom, shape (F,), bool.
     """
 
     kind: Kind
@@ -81,25 +81,25 @@ class DecorItem:
 
 @dataclass(eq=False)
 class CapturedRun:
-    """F frames of a scene for the player.
+    """F captured frames of a scene, which the player can display in a browser.
 
-    Arrays are those of `CapturedFrame` with an additional first axis for the frames.
+    The arrays are those of `CapturedFrame` with an additional first axis for the frames.
 
     Attributes:
         fps: frames per second.
-        begin: time of the first frame, s.
+        begin: time of the first frame in seconds.
         toggles: initial switches.
         camera: initial camera.
         lines: billboard lines of each joint, length N.
         details: lines with all values of each joint, length N.
-        bodies: ids of the visible bodies, (B,).
+        bodies: ids of the visible bodies, shape (B,).
         copies: bodies of doubles, length G. In poses, opacity and grey, they come after `bodies`.
-        limit: value at which an arrow has full width, shape (N,); inf for no limit.
+        limit: joint values at which arrows have full width, shape (N,); inf for no limit.
         arrow_texts: mapping from the indices of smart arrows to a list with one text per frame.
         silent: names of the sources without data.
         meanings: mapping from labels on billboards to meanings, such as `A` to a file name.
-        needed: aspect ratio that the camera needs, see `needed_aspect`; None for the aspect ratio
-            of the declared pose.
+        needed: aspect ratio (width over height) that the camera needs; None for that of the
+            declared pose.
         path: displacement of the free camera, shape (F, 3), m; None if it follows no frame.
     """
 
@@ -146,7 +146,7 @@ class CapturedRun:
 
 
 class FrameCapturer:
-    """Captures states of a world one by one, without the joint arrows, which the player draws."""
+    """Captures states of a world one by one, without joint arrows, which the player draws."""
 
     def __init__(self, world: WorldView, camera: mujoco.MjvCamera) -> None:
         self._world, self._camera = world, camera
@@ -198,7 +198,7 @@ class FrameCapturer:
         toggles: Toggles | None = None,
         needed: float | None = None,
     ) -> CapturedRun:
-        """Returns captured frames as a run, with the declared switches if `toggles` is None."""
+        """Joins captured frames to a run. If `toggles` is None, it has the declared switches."""
         world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
@@ -250,18 +250,18 @@ def capture(
     marks: Sequence[Mark] = (),
     on_progress: Callable[[int, int], None] | None = None,
 ) -> CapturedRun:
-    """Captures a moving scene: live sources in real time, other sources as fast as possible.
+    """Captures a moving scene. Live sources run in real time, all others as fast as possible.
 
     Args:
         scene: scene to capture.
-        seconds: maximum duration, s; None for the duration of the sources.
-        begin: time of the first frame, s; 0 for live sources.
+        seconds: maximum duration in seconds; None for the duration of the sources.
+        begin: time of the first frame in seconds; 0 for live sources.
         fps: frames per second.
-        camera: initial camera, see `find_camera`.
-        follow: frame that the free camera follows, see `Follower`; None for the scene's setting.
-        wait: maximum time to wait for the first packet of each source, s.
+        camera: initial camera, see `find_camera`; None for the view that the scene declares.
+        follow: name of the frame that the free camera follows; None for the scene's setting.
+        wait: maximum time to wait for the first packet of each source in seconds.
         marks: marks on the timeline.
-        on_progress: called with the number of finished frames and the total number of frames.
+        on_progress: function called with the number of finished frames and the total number.
 
     Raises:
         SeroError: the scene, a source or the camera has a problem, or the run is too long.
@@ -302,13 +302,13 @@ def capture_pose(
     camera: mujoco.MjvCamera,
     needed: float | None = None,
 ) -> CapturedRun:
-    """Captures one pose without decor and values, because a server sends these with each frame."""
+    """Captures one pose without overlays and values, which a server sends with each frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 
 
 def longest(world: World, fps: float) -> float:
-    """Returns the maximum duration of a page that shows a world, s."""
+    """Returns the maximum duration in seconds of a run that fits into a browser's memory."""
     of_frame = 28 * len(shown_bodies(world)) + 32 * len(world.joints.names) + 64
     return MAX_BYTES / (of_frame + bytes_of_frame(world.model)) / fps
 
@@ -342,7 +342,7 @@ def _view(model: mujoco.MjModel, data: mujoco.MjData, camera: mujoco.MjvCamera) 
 
 
 def _hold_last(poses: Array, far: Bools) -> None:
-    """Replaces each missing pose of a body by the last known pose, or else by the next one."""
+    """Replaces each missing pose of a body by the last known pose, or by the first known pose."""
     for b in np.flatnonzero(far.any(axis=0)):
         there = np.flatnonzero(~far[:, b])
         if not len(there):
@@ -353,7 +353,7 @@ def _hold_last(poses: Array, far: Bools) -> None:
 
 
 def _continuous(rotations: Array) -> Array:
-    """Returns the quaternions with signs that do not jump between frames."""
+    """Changes the signs of quaternions so that they do not jump between frames."""
     signs = np.where((rotations[1:] * rotations[:-1]).sum(axis=-1) < 0, -1.0, 1.0)
     rotations[1:] *= np.cumprod(signs, axis=0)[..., None]
     return rotations
@@ -364,8 +364,8 @@ def _lines(
 ) -> tuple[list[list[LineFormat]], list[list[LineFormat]]]:
     """Returns the billboard lines of each joint, and the lines with all values of each joint.
 
-    If torques are available, a billboard that by default has only one line, with the angle or the
-    torque, shows the quantity of the arrow instead: torque or torque error.
+    If torques are available, a default billboard with only the angle or the torque shows the
+    quantity of the arrow instead, which is the torque or the torque error.
     """
     are_errors = shows_errors(toggles)
     formats = joint_formats(world)
@@ -404,7 +404,7 @@ def _arrow_texts(texts: list[dict[int, str]]) -> dict[int, list[str]]:
 
 
 def eye(capture: CapturedRun) -> dict[str, Any]:
-    """Returns the initial camera of a page, for JSON."""
+    """Returns the initial camera of a page as a JSON object."""
     camera, world, needed = capture.camera, capture.world, capture.needed
     fixed = int(camera.fixedcamid) if camera.type == mujoco.mjtCamera.mjCAMERA_FIXED else -1
     return {

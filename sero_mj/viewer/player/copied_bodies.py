@@ -1,4 +1,4 @@
-"""`CopiedBodies`: doubles that are not compiled into the model, as additional bodies of a page."""
+"""`CopiedBodies`: the bodies of doubles in a page, if the model does not contain the doubles."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from .model import visible_geoms
 
 
 class CopiedBody(NamedTuple):
-    """A body of a double.
+    """A body of a double that has the geoms of a body of the robot.
 
     Attributes:
-        name: name such as `goal/lower`.
+        name: name of the body, such as `goal/lower`.
         double: index of the double.
         row: row of the path that the double shows; 0 for a double with one pose.
-        body: id of the body of the robot that provides the geoms.
-        rgba: color of the geoms, (4,).
+        body: id of the body of the robot.
+        rgba: color of the geoms, shape (4,).
     """
 
     name: str
@@ -32,7 +32,7 @@ class CopiedBody(NamedTuple):
 
 
 class CopiedBodies:
-    """The bodies, G in total, of all doubles that are not compiled into the model."""
+    """The G bodies of all doubles that are not compiled into the model."""
 
     def __init__(self, world: WorldView) -> None:
         model, self.each = world.model, list[CopiedBody]()
@@ -60,8 +60,8 @@ class CopiedBodies:
             drawn: doubles of the frame, with the rows of a path in ascending order.
 
         Returns:
-            positions (G, 3), m, unit quaternions (G, 4), and opacity factors (G,), which are 0 for
-            bodies that are not drawn.
+            positions, shape (G, 3), m; unit quaternions, shape (G, 4); and opacity factors, shape
+            (G,). The opacity of bodies that are not drawn is 0.
         """
         count = len(self.each)
         places, turns, opacity = np.zeros((count, 3)), np.zeros((count, 4)), np.zeros(count)

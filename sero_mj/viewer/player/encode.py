@@ -27,11 +27,11 @@ from .surroundings import surroundings_head
 VERSION = 1
 METRE_STEP = 5e-5  # resolution of positions, m
 ROTATION_STEP = 1 / 16384  # resolution of the components of unit quaternions
-_SWITCHABLE = ("torques", "torque_error")  # quantities between which arrows can switch
+_SWITCHABLE = ("torques", "torque_error")  # quantities that the user can choose for arrows
 
 
 def encode(capture: CapturedRun, title: str) -> bytes:
-    """Returns the uncompressed bytes of a run."""
+    """Returns a run as uncompressed bytes in the format of the player."""
     parts = PackedArrays()
     frames = capture.frames
     opacity = np.round(capture.opacity * 255)
@@ -97,9 +97,9 @@ def _index(capture: CapturedRun, body: int) -> int:
 
 
 def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
-    """Returns the name of each body and the indices of its joint and double, -1 for none.
+    """Returns the name of each body, the indices of its joint and double, and whether it moves.
 
-    `moves` is false for static bodies, as in MuJoCo.
+    An index is -1 if the body belongs to no joint or double.
     """
     world, found = capture.world, []
     doubles = list(world.doubles)
@@ -110,7 +110,7 @@ def _bodies(capture: CapturedRun) -> list[dict[str, Any]]:
             for k, body in enumerate(row.tolist()):
                 joint = part.joints.start + k - 1 if k and part.joints.stop else -1
                 of[body] = (joint, double)
-    for name, part in world.doubles.items():  # paths have no joints and are no owners
+    for name, part in world.doubles.items():  # Paths have no joints, so they are not in owners.
         for body in np.ravel(part.bodies).tolist():
             of.setdefault(body, (-1, doubles.index(name)))
     model = world.model
@@ -182,7 +182,7 @@ def _place(capture: CapturedRun, site: int) -> dict[str, Any]:
 
 
 def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
-    """Returns the parameters of each joint's arrow for the player's function `widthOf`."""
+    """Returns the radius, the opacity and the width parameters of each joint's arrow."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
     scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
@@ -237,10 +237,10 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _quantities(capture: CapturedRun) -> list[dict[str, str]]:
-    """Returns the quantities that arrows can show, the current one first; empty for no choice.
+    """Returns the quantities that the user can choose for arrows, with the current one first.
 
-    Arrows can switch between torque and torque error if both are recorded. Arrows that show the
-    error between two runs cannot be switched.
+    If both are recorded, arrows can show the torque or the torque error. The list is empty if
+    there is no choice, as for arrows that show the error between two runs.
     """
     joints, toggles = capture.world.joints, capture.toggles
     lines = [line for owner in capture.world.owners.values()
@@ -286,7 +286,7 @@ def _type(item: Any) -> int:
 
 
 def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
-    """Returns the legend of each frame, with None for the line about the arrows' quantity."""
+    """Returns the legend of each frame. The line about the quantity of arrows is None."""
     own = {quantity["line"] for quantity in _quantities(capture)[:1]}
     found = _texts(capture.legend, parts)
     texts = [text.split("\n") if text else [] for text in found["texts"]]
@@ -294,7 +294,7 @@ def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _texts(texts: list[str], parts: PackedArrays) -> dict[str, Any]:
-    """Returns the distinct texts, and for each frame the index of the text."""
+    """Returns the distinct texts, and the index of the text of each frame."""
     unique = list(dict.fromkeys(texts))
     number = {text: k for k, text in enumerate(unique)}
     at = np.array([[number[text]] for text in texts])

@@ -1,4 +1,4 @@
-"""`FrameTaker`: captures a frame of decor for the player in live pages and exported files."""
+"""`FrameTaker`: captures the frames of live pages and exported files for the player."""
 
 from __future__ import annotations
 
@@ -24,25 +24,24 @@ from .soft import SoftFrame, SoftParts
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
 Labels = dict[
     tuple[str, int], tuple[str, Array]
-]  # text and position (3,), m, by kind and index of the item
+]  # text and position, shape (3,), m, by kind and index of the item
 
 
 class CapturedFrame(NamedTuple):
-    """One state for the player, with B bodies, G copied bodies and N joints.
+    """One state for the player, with B bodies, G copied bodies of doubles and N joints.
 
     Attributes:
-        poses: positions in m and unit quaternions, (B + G, 7).
+        poses: positions in m and unit quaternions, shape (B + G, 7).
         opacity: opacity factor of each body, shape (B + G,); 0 for bodies out of sight.
-        grey: whether each body has stale data, shape (B + G,), bool.
+        grey: mask of the bodies with stale data, shape (B + G,), bool.
         soft: tendons and flexes.
-        values: mapping from names of quantities to the values of the joints, shape (N,), NaN for
-            no data.
-        arrows: displayed values of the joints' arrows, (N,).
-        limit: value at which an arrow has full width, shape (N,); inf for no limit.
-        stale: whether each joint lacks recent data, shape (N,), bool.
-        geoms: geoms of decor, without text and without the arrows that the player draws, as rows
-            of `GEOM`, with the kind and item of each row.
-        labels: labels of the frame, see `labels_of`.
+        values: mapping from names of quantities to joint values, shape (N,); NaN for no data.
+        arrows: displayed values of the joints' arrows, shape (N,).
+        limit: joint values at which arrows have full width, shape (N,); inf for no limit.
+        stale: mask of the joints without recent data, shape (N,), bool.
+        geoms: geoms of overlays as rows of `GEOM`, with the kind and item of each row. Text and
+            the arrows that the player draws are omitted.
+        labels: texts and positions of the labels.
         note: text in the corners of the image, without the legend.
         legend: text of the legend.
         arrow_texts: mapping from the indices of smart arrows to their texts.
@@ -64,14 +63,15 @@ class CapturedFrame(NamedTuple):
 
 
 class FrameTaker:
-    """Captures what all other features of a decor have laid out and drawn; must be the last one.
+    """The last feature of a `Decor`, which captures the output of all other features.
 
     Args:
-        own_arrows: whether the player draws the arrow of each joint, shape (N,).
+        own_arrows: mask of the joints whose arrow the player draws, shape (N,), bool.
 
     Attributes:
-        corners: for each text in a corner: whether the text belongs to the legend, and the lines.
-        beside: panels of text at a pixel, except names.
+        corners: texts in the corners of the image, each as a flag and a list of lines. The flag is
+            whether the text belongs to the legend.
+        beside: text panels at a pixel, without names.
     """
 
     def __init__(self, world: WorldView, own_arrows: Bools) -> None:
@@ -99,7 +99,7 @@ class FrameTaker:
         self.frame = frame
 
     def take(self, data: mujoco.MjData) -> CapturedFrame:
-        """Returns the last drawn frame, which must show the state in `data`."""
+        """Returns the last drawn frame. `data` must contain the state that the frame shows."""
         world, frame = self._world, self.frame
         assert frame is not None
         buffer, model = frame.buffer, world.model
@@ -149,9 +149,9 @@ class FrameTaker:
 def body_poses(
     data: mujoco.MjData, bodies: Ints, copies: CopiedBodies, frame: Frame | None
 ) -> tuple[Array, Array]:
-    """Returns poses of bodies and copied bodies, (B + G, 7), and the opacity of copies, (G,).
+    """Returns the poses of bodies and copies, shape (B + G, 7), and the opacity of copies, (G,).
 
-    Copies that the frame does not draw have opacity 0.
+    Copies that `frame` does not draw have opacity 0.
     """
     drawn = [] if frame is None else frame.buffer.drawn_doubles
     places, turns, opacity = copies.poses(drawn)
@@ -169,14 +169,14 @@ def _body_opacity(model: mujoco.MjModel, buffer: GeomBuffer) -> Array:
 
 
 def line_text(line: bytes) -> str:
-    """Decodes a line of text. In the line with the legend's scale, text replaces the bars."""
+    """Decodes a line of text. The bars of the legend's scale are replaced by words."""
     text = line.decode("latin-1").rstrip()
     scale = "".join(SCALE)
     return f"full width: {text.removeprefix(scale)}" if text.startswith(scale) else text
 
 
 def shown_bodies(world: WorldView) -> Ints:
-    """Returns the ids of the bodies with something visible or a camera, (B,)."""
+    """Returns the ids of the bodies with visible parts, joints or cameras, shape (B,)."""
     model = world.model
     own = [drawn_bodies(model), model.cam_bodyid]
     if world.has_sites:
@@ -185,7 +185,7 @@ def shown_bodies(world: WorldView) -> Ints:
 
 
 def labels_of(world: WorldView, frame: Frame) -> Labels:
-    """Returns text and position (3,), m, of all labels of a frame."""
+    """Returns text and position of each label of a frame, by kind and index of the item."""
     frames, buffer = world.frames, frame.buffer
     found: Labels = {}
     titles = frame_titles(tuple(frames.names))
@@ -195,7 +195,7 @@ def labels_of(world: WorldView, frame: Frame) -> Labels:
     found |= {("part", k): (parts[k], places[k]) for k in range(len(parts))}
     rows = buffer.rows[: buffer.count]
     has_text = rows["label"] != b""
-    has_text[buffer.text] = False  # text of panels, which the player lays out
+    has_text[buffer.text] = False  # The player lays out the text of panels.
     for k, row in enumerate(rows[has_text]):
         found["geom", k] = row["label"].decode("latin-1"), np.array(row["pos"], float)
     return found

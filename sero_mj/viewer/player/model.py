@@ -1,7 +1,7 @@
-"""The appearance of a model: geoms, sites, meshes, materials, textures, skins and lights.
+"""Encodes the appearance of a model: geoms, sites, meshes, materials, textures, skins and lights.
 
-Only visible meshes and textures are stored, and equal ones only once. Height fields are stored as
-meshes.
+Only visible meshes and textures are stored, and equal ones are stored once. Height fields are
+stored as meshes.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import numpy as np
 from ...base.frames import Array, Bools, Ints
 from .packing import PackedArrays, differing, rounded
 
-_GROUPS = 3  # groups of geoms and sites that MuJoCo shows by default
+_GROUPS = 3  # number of geom and site groups that MuJoCo shows by default
 _DEFAULT_RGBA = np.array(
     [0.5, 0.5, 0.5, 1.0], np.float32
 )  # color of geoms whose color comes from a material
@@ -28,19 +28,20 @@ _MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _SDF = int(mujoco.mjtGeom.mjGEOM_SDF)
 _COLOR = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _FLAT = int(mujoco.mjtTexture.mjTEXTURE_2D)
-_FACES = 6  # faces of a cube texture, one below the other
+_FACES = 6  # number of faces of a cube texture, stored one below the other
 _MAX_PIXELS = 2048  # maximum width and height of a texture; larger textures are halved
-_MESH_STEPS = 65535  # resolution of the longest side of a mesh
+_MESH_STEPS = 65535  # number of steps along the longest side of a mesh
 _NORMAL_STEPS = 127
 _OUR_LIGHT = "key"
 _OUR_FLOOR = "floor"
 
-# Vertices (n, 3), m, normals (n, 3), corners of triangles (3 m,), and texture coordinates (n, 2).
+# Vertices (n, 3) in m, normals (n, 3), vertex indices of triangles (3 * m,), and texture
+# coordinates (n, 2) or None.
 Corners = tuple[Array, Array, Ints, Array | None]
 
 
 def visible_geoms(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the geoms that MuJoCo draws by default, without the scene's floor."""
+    """Returns the ids of the geoms that MuJoCo draws by default, except the scene's floor."""
     shown = (model.geom_group < _GROUPS) & (geom_colors(model)[:, 3] > 0)
     shown &= model.geom_type <= _SDF
     floor = our_floor(model)
@@ -51,12 +52,12 @@ def visible_geoms(model: mujoco.MjModel) -> Ints:
 
 
 def geom_colors(model: mujoco.MjModel) -> Array:
-    """Returns the colors of all geoms or of their materials, shape (ngeom, 4)."""
+    """Returns the RGBA colors of all geoms, taken from their materials where needed, (ngeom, 4)."""
     return _colors(model, model.geom_rgba, model.geom_matid)
 
 
 def drawn_bodies(model: mujoco.MjModel) -> Ints:
-    """Returns the ids of the bodies with something visible or a light."""
+    """Returns the ids of the bodies with visible geoms, sites or skins, or with lights."""
     sites = model.site_bodyid[_visible_sites(model)]
     bones = model.skin_bonebodyid if model.nskin else np.zeros(0, int)
     lights = np.append(model.light_bodyid, 0) if _has_own_lights(model) else np.zeros(0, int)
@@ -78,7 +79,7 @@ def _colors(model: mujoco.MjModel, rgba: np.ndarray, material: np.ndarray) -> Ar
 
 
 def our_floor(model: mujoco.MjModel) -> int | None:
-    """Returns the id of the floor geom of the scene, which the player draws, or None."""
+    """Returns the id of the floor geom that the scene adds to a model, or None."""
     floor = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_GEOM, _OUR_FLOOR)
     if floor < 0 or model.geom_type[floor] != _PLANE or model.geom_matid[floor] < 0:
         return None
@@ -90,7 +91,7 @@ def _has_own_lights(model: mujoco.MjModel) -> bool:
 
 
 def field_corners(model: mujoco.MjModel, field: int) -> Corners:
-    """Returns a height field as a closed mesh."""
+    """Converts a height field to a closed mesh."""
     rows, columns = int(model.hfield_nrow[field]), int(model.hfield_ncol[field])
     begin = model.hfield_adr[field]
     wide, deep, high, under = model.hfield_size[field]
@@ -104,7 +105,7 @@ def field_corners(model: mujoco.MjModel, field: int) -> Corners:
     a, b, c, d = here[:-1, :-1], here[:-1, 1:], here[1:, 1:], here[1:, :-1]
     points, facing, index = [top.reshape(-1, 3)], [normals.reshape(-1, 3)], []
     index.append(np.stack([a, b, c, a, c, d], axis=-1).ravel())
-    # The sides of the field, counterclockwise from above.
+    # The edges of the field are in counterclockwise order, seen from above.
     edges = ((top[0], (0, -1)), (top[:, -1], (1, 0)), (top[-1, ::-1], (0, 1)),
              (top[::-1, 0], (-1, 0)))  # fmt: skip
     for edge, (to_x, to_y) in edges:
@@ -125,7 +126,7 @@ def field_corners(model: mujoco.MjModel, field: int) -> Corners:
 
 
 def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False) -> Corners:
-    """Returns a mesh, with texture coordinates if `is_textured`."""
+    """Returns a mesh of a model. It has texture coordinates if `is_textured` is set."""
     vertex, normal = model.mesh_vertadr[mesh], model.mesh_normaladr[mesh]
     faces = slice(model.mesh_faceadr[mesh], model.mesh_faceadr[mesh] + model.mesh_facenum[mesh])
     columns = [model.mesh_face[faces].ravel(), model.mesh_facenormal[faces].ravel()]
@@ -134,7 +135,7 @@ def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False)
     corners, first, index = np.unique(
         np.stack(columns, axis=1), axis=0, return_index=True, return_inverse=True
     )
-    # Vertices in the order of first use give small differences between indices.
+    # If vertices are in the order of their first use, differences between indices are small.
     order = np.argsort(first)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
@@ -148,11 +149,12 @@ def mesh_corners(model: mujoco.MjModel, mesh: int, *, is_textured: bool = False)
 
 
 class Look:
-    """Encodes the appearance of a model for the head of a page.
+    """Encodes the appearance of a model for the JSON head of a page.
 
     Args:
+        model: model to encode.
         parts: storage for the arrays.
-        body_index: function that returns the page's index of a body id.
+        body_index: function that converts a body id to the index of the body in the page.
     """
 
     def __init__(
@@ -165,14 +167,14 @@ class Look:
         self._known: dict[Any, int] = {}
 
     def head(self) -> dict[str, Any]:
-        """Returns the entries of the head, without rarely used entries that are empty."""
+        """Returns the entries of the JSON head. Rarely used entries are omitted if empty."""
         model = self._model
         found: dict[str, Any] = {
             "meshes": self._meshes,
             "geoms": [self._geom(i) for i in visible_geoms(model).tolist()]
             + [self._shape("site", i) for i in _visible_sites(model).tolist()],
         }
-        if self._is_endless():
+        if self._has_infinite_plane():
             found["reach"] = round(float(model.vis.map.zfar * model.stat.extent), 3)
         shown = (model.skin_group < _GROUPS).nonzero()[0] if model.nskin else []
         skins = [self._skin(int(i)) for i in shown]
@@ -182,7 +184,7 @@ class Look:
                  "flexes": flexes, "lights": lights}  # fmt: skip
         return found | {key: each for key, each in extra.items() if each}
 
-    def _is_endless(self) -> bool:
+    def _has_infinite_plane(self) -> bool:
         model, shown = self._model, visible_geoms(self._model)
         planes = shown[model.geom_type[shown] == _PLANE]
         return bool((model.geom_size[planes, :2] <= 0).any())
@@ -235,7 +237,7 @@ class Look:
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
-        """Returns another copy of a geom, in one color and attached to a body of the page."""
+        """Returns a copy of a geom that has one color and is attached to a body of the page."""
         found = self._geom(geom)
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}
@@ -315,7 +317,7 @@ class Look:
         return self._known[key]
 
     def _skin(self, i: int) -> dict[str, Any]:
-        """Returns the vertices in the bind pose of the bones, and the weights of each bone."""
+        """Returns the vertices of a skin in the bind pose, and the weights of each bone."""
         model, parts = self._model, self._parts
         begin, count = int(model.skin_vertadr[i]), int(model.skin_vertnum[i])
         faces = slice(model.skin_faceadr[i], model.skin_faceadr[i] + model.skin_facenum[i])
@@ -387,7 +389,7 @@ class Look:
         head, on = model.vis.headlight, model.light_active.astype(bool)
         is_fixed = model.light_mode == int(mujoco.mjtCamLight.mjCAMLIGHT_FIXED)
         at, axis, body = model.light_pos, model.light_dir, model.light_bodyid
-        if not is_fixed[on].all():  # lights that track a body stay at their initial pose
+        if not is_fixed[on].all():  # The player cannot move lights that track a body.
             data = mujoco.MjData(model)
             mujoco.mj_fwdPosition(model, data)
             at = np.where(is_fixed[:, None], at, data.light_xpos)
@@ -428,7 +430,7 @@ def _differences(places: Array) -> Array:
 
 
 def _octahedral(normals: Array) -> np.ndarray:
-    """Returns unit vectors (n, 3) in octahedral encoding, (2, n)."""
+    """Converts unit vectors, shape (n, 3), to octahedral encoding, shape (2, n), int8."""
     normals = normals / np.maximum(np.abs(normals).sum(axis=1, keepdims=True), 1e-12)
     over = (1 - np.abs(normals[:, 1::-1])) * np.where(normals[:, :2] >= 0, 1, -1)
     square = np.where(normals[:, 2:] < 0, over, normals[:, :2])
@@ -436,7 +438,7 @@ def _octahedral(normals: Array) -> np.ndarray:
 
 
 def _halved(image: np.ndarray) -> np.ndarray:
-    """Halves images (k, h, w, c) along each axis that is too long."""
+    """Halves images of shape (k, h, w, c) along each axis that is too long."""
     for axis in (1, 2):
         size = image.shape[axis] // 2 * 2
         if size > _MAX_PIXELS:
@@ -448,9 +450,9 @@ def _halved(image: np.ndarray) -> np.ndarray:
 
 
 def _filtered(rows: np.ndarray) -> tuple[int, np.ndarray]:
-    """Returns an image (h, w, c), or differences of neighboring pixels if these compress better.
+    """Returns an image of shape (h, w, c), or its pixel differences if these compress better.
 
-    The first value is the axis of the differences, -1 for none.
+    The first returned value is the axis of the differences, or -1 for the image.
     """
     tries = {-1: rows}
     for axis in (0, 1):

@@ -1,7 +1,7 @@
-"""Encodes arrays behind a JSON head, which `js/src/data.js` decodes.
+"""Encodes arrays so that they compress well with deflate. `js/src/data.js` decodes them.
 
-To compress well with deflate, changing numbers are stored as differences in time with the sign in
-the lowest bit. Channels follow one after the other, and bytes of the same significance are grouped.
+Values that change in time are stored as differences between frames, with the sign in the lowest
+bit. Each channel is contiguous, and bytes of the same significance are grouped.
 """
 
 from __future__ import annotations
@@ -17,27 +17,27 @@ _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
 class PackedArrays:
-    """Arrays behind the head, which the head references by number."""
+    """The arrays that follow the JSON head of a page. The head refers to them by number."""
 
     def __init__(self) -> None:
         self.arrays: list[bytes] = []
 
     def put(self, array: np.ndarray) -> list[Any]:
-        """Adds an array; returns its number, element type and element count."""
+        """Adds an array, and returns its number, element type and element count."""
         array = np.ascontiguousarray(array)
         planes = array.reshape(-1).view(np.uint8).reshape(-1, array.itemsize).T
         self.arrays.append(planes.tobytes())
         return [len(self.arrays) - 1, array.dtype.str[1:], array.size]
 
     def moving(self, numbers: np.ndarray, step: float) -> list[Any]:
-        """Adds the channels of F frames, shape (F, C), as differences in multiples of `step`."""
+        """Adds C channels of F frames, shape (F, C), as differences in multiples of `step`."""
         whole = np.round(numbers / step).astype(np.int64)
         differences = np.diff(whole, axis=0, prepend=0).T
         return self.put(unsigned(folded(differences)))
 
 
 def folded(differences: Ints) -> Ints:
-    """Returns nonnegative integers that encode the sign of signed integers in the lowest bit."""
+    """Converts signed integers to nonnegative integers with the sign in the lowest bit."""
     return np.asarray((differences << 1) ^ (differences >> 63))
 
 
@@ -50,22 +50,22 @@ def unsigned(numbers: Ints) -> np.ndarray:
 
 
 def rounded(numbers: Any, digits: int = 6) -> list[Any]:
-    """Returns rounded numbers as lists, for JSON."""
-    found: list[Any] = (np.round(np.asarray(numbers, float), digits) + 0.0).tolist()  # no -0.0
+    """Rounds numbers, and returns them as nested lists for JSON."""
+    found: list[Any] = (np.round(np.asarray(numbers, float), digits) + 0.0).tolist()  # not -0.0
     return found
 
 
 def differing(numbers: np.ndarray) -> np.ndarray:
-    """Returns the folded differences between neighboring integers, shape (n,)."""
+    """Returns the differences between neighboring integers, shape (n,), in the form of `folded`."""
     whole: Ints = np.asarray(numbers, np.int64)
     return unsigned(folded(np.diff(whole, prepend=0)))
 
 
 def poses(rows: np.ndarray) -> tuple[Array, Array]:
-    """Returns quaternions, scalar first (k, 4), and sizes (k, 3), m, of rows of `GEOM`.
+    """Returns quaternions (w, x, y, z), shape (k, 4), and sizes, shape (k, 3), of rows of `GEOM`.
 
-    The sides of a triangle are not perpendicular. The x axis of a triangle is along its first side.
-    Its sizes are the length of the first side, and the extents of the second side along y and x.
+    The x axis of a triangle points along its first side. Its sizes are the length of the first
+    side, and the extents of the second side along y and x.
     """
     mats, sizes = rows["mat"].astype(float), rows["size"].astype(float)
     skew = (rows["type"] == _TRIANGLE).nonzero()[0]
@@ -81,7 +81,7 @@ def poses(rows: np.ndarray) -> tuple[Array, Array]:
 
 
 def quaternions_of(mats: Array) -> Array:
-    """Converts rotation matrices (k, 3, 3) to quaternions (k, 4), scalar first."""
+    """Converts rotation matrices, shape (k, 3, 3), to quaternions (w, x, y, z), shape (k, 4)."""
     quaternions = np.empty((len(mats), 4))
     for quaternion, mat in zip(quaternions, mats.reshape(-1, 9), strict=True):
         mujoco.mju_mat2Quat(quaternion, mat)

@@ -1,4 +1,4 @@
-"""`export_html`: writes a moving scene as one HTML file, which makes no requests."""
+"""`export_html`: writes a moving scene as one HTML file that needs no network."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...robots.declared.scene import Scene
 from .capture import CapturedRun, Mark, capture
 from .encode import encode
 
-# Decompresses and starts the player; the content security policy contains its hash.
+# This script decompresses and starts the player. The content security policy contains its hash.
 _LOADER = (
     "(async()=>{const e=document.getElementById('player'),"
     "b=Uint8Array.from(atob(e.textContent),c=>c.charCodeAt(0)),"
@@ -48,7 +48,7 @@ def export_html(
     meanings: Mapping[str, str] | None = None,
     **keywords: Any,
 ) -> list[str]:
-    """Writes a page that plays a recording, a simulation, or some seconds of live data.
+    """Writes an HTML page that plays a recording, a simulation, or a few seconds of live data.
 
     Args:
         scene: scene to export, see `load_scene`.
@@ -56,8 +56,7 @@ def export_html(
         title: title of the page; an empty string for the name of the scene.
         marks: marks on the timeline.
         meanings: mapping from labels on billboards to meanings, such as `A` to a file name.
-        **keywords: arguments of `capture`: `seconds` and `begin` (s), `fps`, `camera`, `follow`,
-            `wait` (s), `on_progress`.
+        **keywords: other keyword arguments of `capture`, such as `seconds`, `fps` and `camera`.
 
     Returns:
         names of the sources without data. Their robots have the declared pose.
@@ -73,7 +72,7 @@ def export_html(
 
 
 def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
-    """Writes a run as a page, whose title is the scene's name if `title` is empty.
+    """Writes a run as an HTML page. If `title` is empty, the title is the name of the scene.
 
     Raises:
         UsageError: the file cannot be written.
@@ -89,30 +88,30 @@ def write_page(captured: CapturedRun, path: Path, title: str = "") -> None:
 
 
 def requested_look(scene: Scene) -> str:
-    """Returns the look that a scene or an option requests, or "" for the browser's setting."""
+    """Returns the requested look of a scene, or an empty string for the browser's setting."""
     return scene.view.look if "look" in scene.view.model_fields_set else ""
 
 
 def live_page(look: str) -> str:
-    """Returns the page of a server, which also serves `player_files`."""
+    """Returns the HTML of a live page. Its server must also serve `player_files`."""
     return _filled(KIND=" data-live", TITLE="sero-mj", LOOK=look, STYLE=_LINKS)
 
 
 def player_files() -> dict[str, bytes]:
-    """Returns a mapping from file names to contents of the script and style sheet of pages."""
+    """Returns the script and the style sheet of pages, as a mapping from file names to contents."""
     return {name: _static(name).encode() for name in ("player.js", "player.css")}
 
 
 def cell_page(cell: str, title: str, look: str) -> str:
-    """Returns a page for a notebook cell: live, or with the run that the notebook has stored.
+    """Returns the HTML of a notebook cell, which shows live data or a run stored in the notebook.
 
-    The page sends the id of the cell to its kernel, see `extensions/notebook`.
+    The page sends `cell`, the id of the cell, to the kernel, see `extensions/notebook`.
     """
     return _page_alone(_PLAYER, KIND=f' data-cell="{html.escape(cell)}"', TITLE=title, LOOK=look)
 
 
 def packed(data: bytes) -> str:
-    """Encodes bytes in the format of pages: base64 of a raw deflate stream."""
+    """Compresses bytes to a raw deflate stream in base64, as pages contain it."""
     deflate = zlib.compressobj(9, zlib.DEFLATED, -15)
     return base64.b64encode(deflate.compress(data) + deflate.flush()).decode()
 

@@ -23,13 +23,13 @@ _MAX_PIECES = 4000  # maximum number of tendon pieces
 
 @dataclass(frozen=True, eq=False)
 class Soft:
-    """Tendons, which consist of S straight pieces, and flexes with V vertices, in F frames.
+    """Tendons and flexes in F frames. Tendons have S straight pieces, and flexes have V vertices.
 
     Attributes:
-        vertices: positions of the vertices, shape (F, V, 3), m.
-        ends: ends of each piece, (F, S, 2, 3), m.
-        radius: radius of each piece, (F, S), m; 0 for none.
-        colors: color of each piece in all frames, (S, 4).
+        vertices: positions of the flex vertices, shape (F, V, 3), m.
+        ends: end points of the tendon pieces, shape (F, S, 2, 3), m.
+        radius: radii of the pieces, shape (F, S), m; 0 for a piece that is not drawn.
+        colors: RGBA colors of the pieces, shape (S, 4), equal in all frames.
     """
 
     vertices: Array
@@ -38,7 +38,7 @@ class Soft:
     colors: Array
 
     def head(self, parts: PackedArrays, step: float) -> dict[str, Any]:
-        """Encodes tendons and flexes for the head of a page, with a resolution of `step` m."""
+        """Encodes tendons and flexes for the JSON head of a page. `step` is the resolution in m."""
         frames = len(self.radius)
         found: dict[str, Any] = {}
         if self.vertices.size:
@@ -53,14 +53,14 @@ class Soft:
 
 
 class SoftFrame(NamedTuple):
-    """Vertices of flexes, shape (V, 3), m, and tendons as rows of `GEOM`, in one state."""
+    """Positions of flex vertices, shape (V, 3), m, and tendon pieces, dtype `GEOM`, at one time."""
 
     vertices: Array
     tendons: np.ndarray
 
 
 class SoftParts:
-    """The tendons and flexes of a model."""
+    """Captures the tendons and flexes of a model."""
 
     def __init__(self, model: mujoco.MjModel) -> None:
         self._model = model
@@ -86,7 +86,7 @@ class SoftParts:
 
 
 def soft_of(found: Sequence[SoftFrame]) -> Soft:
-    """Joins frames. Each piece of a tendon has a constant index."""
+    """Joins captured frames. Each tendon piece has the same index in all frames."""
     frames = len(found)
     counts: dict[int, int] = {}
     for rows in (each.tendons for each in found):
@@ -100,7 +100,7 @@ def soft_of(found: Sequence[SoftFrame]) -> Soft:
     colors = np.ones((pieces, 4))
     for k, rows in enumerate(each.tendons for each in found):
         if k:
-            ends[k] = ends[k - 1]  # a piece that disappears stays at its position
+            ends[k] = ends[k - 1]  # A piece that disappears stays at its position.
         for tendon, start in starts.items():
             own = rows[rows["objid"] == tendon]
             at = slice(start, start + len(own))
@@ -118,5 +118,5 @@ def _flex_vertices(model: mujoco.MjModel) -> Ints:
 
 
 def bytes_of_frame(model: mujoco.MjModel) -> int:
-    """Returns the maximum size of the soft parts of a frame in a browser, bytes."""
+    """Returns the maximum size in bytes of the tendons and flexes of one frame in a browser."""
     return 4 * (3 * int(model.nflexvert) + 7 * int(model.nwrap))

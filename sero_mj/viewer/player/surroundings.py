@@ -1,4 +1,4 @@
-"""The surroundings in pages: the palettes of the light and dark look, and the floor.
+"""The surroundings of robots in pages: the palettes of the light and dark look, and the floor.
 
 Pages use the same light as Filament, see `image/sky_light.py`.
 """
@@ -17,12 +17,12 @@ from ..image.sky_light import LEVELS, SkyLight
 from .model import our_floor
 from .packing import rounded
 
-_END = 0.77  # distance at which floors end, relative to the far plane (measured with MuJoCo 4.0.0)
-_ELEVATIONS = 33  # elevations of reflections, with equidistant sines from -1 to 1
+_END = 0.77  # end of floors as a fraction of the far plane's distance (measured, MuJoCo 4.0.0)
+_ELEVATIONS = 33  # number of elevations of reflections, whose sines are equidistant
 
 
 def surroundings_head(world: WorldView) -> dict[str, Any]:
-    """Returns the surroundings of a world for the head of a page."""
+    """Returns the surroundings of a world for the JSON head of a page."""
     return {
         "looks": _looks(),
         "towards": rounded(KEY_DIRECTION),
@@ -36,9 +36,10 @@ def _looks() -> dict[str, dict[str, Any]]:
 
 
 def _look(palette: Palette) -> dict[str, Any]:
-    """Returns a palette, with its light relative to white for each linear color channel.
+    """Encodes a palette. Its light is relative to white, separately for each linear color channel.
 
-    `fill` is (a, b, c) of `SkyLight.irradiance`; `reflections` has one row per roughness.
+    `fill` holds the coefficients (a, b, c) of `SkyLight.irradiance`. `reflections` has one row
+    per roughness.
     """
     light, up = SkyLight(palette), np.linspace(-1.0, 1.0, _ELEVATIONS)
     return {

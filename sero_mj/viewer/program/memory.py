@@ -1,6 +1,6 @@
-"""Shared memory of the user's program and the viewer's process.
+"""Memory that the user's program shares with the viewer's process.
 
-The program sends inputs and the state of an overlay, and the viewer sends the displayed state.
+The program sends inputs and the state of an overlay's model. The viewer sends the displayed state.
 Neither process ever waits for the other.
 """
 
@@ -26,28 +26,28 @@ from ...robots.assemble.world_view import WorldView
 from ...robots.declared.inputs import to_array
 from ...robots.external.model_world import ModelWorld
 
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # passing an enum takes ten times as long
-_MEMORY = Path("/dev/shm")  # a file system in memory; Linux only
-_HEADER = 2  # entries before each array: the number of writes, and a checksum
-_CHECKSUM_MODULUS = 2**32  # checksums are smaller
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)  # MuJoCo calls with an int are 10 times faster.
+_MEMORY = Path("/dev/shm")  # file system in memory, on Linux only
+_HEADER = 2  # number of entries before each array: the number of writes, and a checksum
+_CHECKSUM_MODULUS = 2**32  # number of different checksums
 _pack = struct.Struct("dd").pack
 
 
 class SharedArrays:
     """Arrays of float64 in memory that two processes share. Only one process writes each array.
 
-    Each array has the number of writes and a checksum over both. A reader ignores an array whose
-    checksum does not match, because it is being written, and reads it the next time. No lock is
-    needed, so the end of one process cannot block the other.
+    Each array has a write count, and a checksum of the count and the values. While an array is
+    being written, its checksum does not match, and the reader tries again at the next read. No
+    lock is needed, so a process that ends cannot block the other one.
 
     Args:
-        lengths: lengths of the arrays.
+        lengths: lengths of the K arrays.
         path: path of the memory that the other process has created; None to create the memory.
-            The process that opens the memory removes the file, so no file remains.
+            The process that opens the memory removes the file.
 
     Attributes:
-        written: number of writes to each array by this process, shape (K,).
-        numbers: number of writes to each array at the last read, shape (K,).
+        written: write count of each array in this process, length K.
+        numbers: write count of each array at the last read, shape (K,).
     """
 
     def __init__(self, lengths: Sequence[int], path: Path | None = None) -> None:
@@ -60,7 +60,7 @@ class SharedArrays:
         ]
         self.written = [0] * len(lengths)
         self.numbers = np.zeros(len(lengths))
-        self._lock = threading.Lock()  # protects writes by several threads
+        self._lock = threading.Lock()  # Several threads of one process may write.
         if path is None:
             folder = _MEMORY if os.access(_MEMORY, os.W_OK) else None
             file, name = tempfile.mkstemp(prefix="sero-mj-", dir=folder)
@@ -77,11 +77,11 @@ class SharedArrays:
         self._heads = np.array(self._starts)
 
     def remove_name(self) -> None:
-        with suppress(OSError):  # raised on Windows while the file is in use
+        with suppress(OSError):  # Windows raises OSError while the file is in use.
             self.path.unlink()
 
     def write(self, index: int, values: Array) -> None:
-        """Writes an array from values of any shape with the same number of elements."""
+        """Writes values to an array. They may have any shape with the right number of elements."""
         contents = values.tobytes()
         with self._lock:
             self.written[index] = number = self.written[index] + 1
@@ -89,14 +89,14 @@ class SharedArrays:
             self._memory[self._spans[index]] = header + contents
 
     def number(self, index: int) -> int:
-        """Returns how often an array has been written, by either process."""
+        """Returns the write count of an array."""
         return int(self._cells[self._starts[index]])
 
     def changed(self) -> list[int]:
         return np.flatnonzero(self._cells[self._heads] != self.numbers).tolist()
 
     def read(self, index: int) -> Array | None:
-        """Returns a copy of an array; None if the array is unchanged or is being written."""
+        """Returns a copy of an array, or None if it is unchanged or is being written."""
         start, stop = self._starts[index], self._stops[index]
         if self._cells[start] == self.numbers[index]:
             return None
@@ -109,11 +109,12 @@ class SharedArrays:
 
 
 class ViewerMemory(Protocol):
-    """The memory of a scene or an overlay.
+    """Shared memory for a scene or an overlay.
 
-    The viewer calls `set` and `sync`, and its process calls `apply` and `show`.
+    The user's program calls `set` and `sync`. The viewer's process calls `apply` and `show`.
 
     Attributes:
+        data: state of the scene or of the user's model.
         is_read: whether `sync` copies the displayed state to `data`.
     """
 
@@ -125,10 +126,10 @@ class ViewerMemory(Protocol):
     def frame_count(self) -> int: ...
 
     def set(self, target: str, values: Any) -> None:
-        """Sets an input of the viewer's world and sends the values; raises as `set_input` does."""
+        """Sets an input of the world and sends its values. Raises the errors of `set_input`."""
 
     def sync(self) -> None:
-        """Sends the state of the viewer's data, and receives the displayed state."""
+        """Sends the state of an overlay's model, or receives the displayed state of a scene."""
 
     def apply(self) -> None:
         """Applies the values that the user's program has sent."""
@@ -138,14 +139,14 @@ class ViewerMemory(Protocol):
 
 
 class SceneMemory:
-    """The inputs of a scene, and the displayed state.
+    """Shared memory for the inputs and the displayed state of a scene.
 
-    Each input is an array, so that only the inputs that the user sets are sent. The scene's sources
-    set all other inputs. The values of all inputs are sent back, except for inputs that the user
-    has set since.
+    Each input has its own array, because the program sends only the inputs that it sets. The
+    scene's sources set all other inputs. `sync` does not overwrite inputs that the program has set
+    after the displayed state was sent.
 
     Args:
-        world: the compiled scene, equal in both processes.
+        world: compiled scene, which must be equal in both processes.
     """
 
     def __init__(self, world: WorldView, data: mujoco.MjData, path: Path | None = None) -> None:
@@ -153,7 +154,7 @@ class SceneMemory:
         self._inputs = list(world.inputs.values())
         self._index = {item.target: index for index, item in enumerate(self._inputs)}
         self._fields = (data.qpos, data.mocap_pos, data.mocap_quat, data.userdata)
-        # The displayed state: time, these fields, and the numbers of the user's inputs in them.
+        # The displayed state has the time, these fields, and the write counts of applied inputs.
         ends = np.cumsum([1, *(field.size for field in self._fields)]).tolist()
         self._slices = list(map(slice, ends, ends[1:]))
         self._flat = [field.reshape(-1) for field in self._fields]  # views
@@ -191,7 +192,7 @@ class SceneMemory:
         shown = self.arrays.read(len(self._inputs)) if self.is_read else None
         if shown is None:
             return
-        # The last entry stands for values that no input sets.
+        # The last entry is for values that no input sets.
         is_shown = np.append(shown[self._numbers] == self.arrays.written[:-1], True)
         where = is_shown[self._setter]
         self.data.time = shown[0]
@@ -212,16 +213,16 @@ class SceneMemory:
 
 
 class OverlayMemory:
-    """The state of a user's model, and the inputs of the overlay."""
+    """Shared memory for the state of a user's model and the inputs of its overlay."""
 
     def __init__(self, world: ModelWorld, path: Path | None = None) -> None:
         self._world, self.data, self.is_read = world, world.data, False
         size, nv = mujoco.mj_stateSize(world.model, _STATE), world.model.nv
-        # The state, and displayed fields that do not follow from it.
+        # MuJoCo cannot compute the last fields from the state.
         self._values = np.empty(size + 2 * nv)
         self._state, *self._slices = np.split(self._values, [size, size + nv])  # views
         self._fields = (self.data.qfrc_actuator, self.data.qacc)
-        self._changes = -1  # number of the inputs that were sent last
+        self._changes = -1  # `world.changes` when the inputs were last sent
         self.arrays = SharedArrays([size + 2 * nv, len(world.input_state()), 0], path)
 
     @property

@@ -1,7 +1,7 @@
 """`Outbox`: sends changes to the viewer's process on a thread. `UserSignals`: plotted samples.
 
-The user's loop never waits for the viewer, even if the viewer hangs: each topic collects changes
-while a message is being sent.
+The user's loop never waits for the viewer, even if the viewer hangs. Changes are collected while a
+message is being sent.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ _INTERVAL = 1 / 30  # minimum time between messages, s
 
 
 class Outbox:
-    """Sends the messages of several topics.
+    """Thread that collects changes for tools of the viewer, and sends them as messages.
 
     Args:
         send: function that sends a message to a tool of the viewer, and returns False if the
@@ -36,11 +36,12 @@ class Outbox:
         self._is_closed = False
 
     def add(self, tool: str, take: Callable[[], Any]) -> None:
-        """Adds a topic.
+        """Adds a tool that receives changes.
 
         Args:
-            take: function that returns the changes since the last call, or None; called on another
-                thread.
+            tool: name of the tool.
+            take: function that returns the changes since its last call, or None. The outbox calls
+                it on another thread.
         """
         is_first = not self._topics
         self._topics[tool] = take
@@ -48,7 +49,7 @@ class Outbox:
             threading.Thread(target=self._run, daemon=True, name="sero-mj outbox").start()
 
     def wake(self) -> None:
-        if not self._has_news.is_set():  # faster than setting it again
+        if not self._has_news.is_set():  # This check is faster than setting the event again.
             self._has_news.set()
 
     def close(self) -> None:
@@ -66,21 +67,21 @@ class Outbox:
             time.sleep(_INTERVAL)
 
 
-TOOL = "plot"  # the tool that shows the signals
+TOOL = "plot"  # name of the tool that shows the signals
 
 _MAX_SIGNALS = 100
-_MAX_UNSENT = 20_000  # samples of a signal; if more wait to be sent, the oldest ones are dropped
+_MAX_UNSENT = 20_000  # maximum number of unsent samples of a signal; older ones are dropped
 
 
 class UserSignals:
-    """Samples of plotted signals that have not been sent yet."""
+    """The samples of plotted signals that have not been sent to the viewer yet."""
 
     def __init__(self, outbox: Outbox) -> None:
         self._outbox = outbox
         self._unsent: dict[str, deque[tuple[float, float]]] = {}
 
     def add(self, name: str, value: float) -> None:
-        """Adds a sample at the current time; takes about a microsecond.
+        """Adds a sample at the current time. A call takes about 1 us.
 
         Raises:
             UsageError: the name or the value is invalid, or there are more than 100 signals.
@@ -109,7 +110,7 @@ class UserSignals:
     def _take(self) -> dict[str, Array] | None:
         taken = {}
         for name, unsent in [*self._unsent.items()]:
-            count = len(unsent)  # samples that are added now are sent next time
+            count = len(unsent)  # Samples that are added meanwhile are sent next time.
             if count:
                 taken[name] = np.array([unsent.popleft() for _ in range(count)])
         return taken or None

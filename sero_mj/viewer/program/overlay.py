@@ -34,21 +34,22 @@ from .robot_inputs import RobotInputs
 log = logging.getLogger(__name__)
 
 _NOTEBOOK_SIZE = (960, 600)
-_SCENE_SIZE = (640, 480)  # assumed for a scene without an image size
+_SCENE_SIZE = (640, 480)  # image size in pixels that is assumed for a scene without one
 
 
 class Overlay:
-    """Draws visual features on a model of the user, and never changes the model and its data.
+    """Draws arrows, billboards, doubles and axes on a user's model, without changing the model.
 
     Attributes:
-        data: the user's data. Frames show the current state of the data, so call `mj_step` or
-            `mj_forward` first.
+        model: the user's model.
+        data: the user's data, which is not changed either. Frames show its current state, so call
+            `mj_step` or `mj_forward` before drawing.
     """
 
     def __init__(self, world: ModelWorld) -> None:
         self.model, self.data, self.world = world.model, world.data, world
         self._decor = SceneDecor(world)
-        self._drawn = self._decor  # the decor of the last frame, which `image` replaces
+        self._drawn = self._decor  # decor of the last frame; `image` draws with another one
         self._renderer: HeadlessRenderer | None = None
         self._has_warned = False
 
@@ -70,21 +71,21 @@ class Overlay:
 
     @property
     def not_finite(self) -> int:
-        """Number of NaN, infinite and implausible values that were set and are not displayed."""
+        """Number of NaN, infinite and implausible values that were set, but are not displayed."""
         return self.world.not_finite
 
     def set(self, target: str, values: Any) -> None:
         """Sets an input: joint values, a double's joint angles, an arrow's vector, or a switch.
 
         Args:
-            target: `arm.commanded_torques`, `arm.torques`, `goal.joint_angles`, `push.vector`,
-                `arm.show_axes`, ...
-            values: values in the shape of the input, SI units. Joint values can also be a vector
-                of the whole model, shape (nv,), or a mapping from joint names to values.
+            target: name of the input, such as `arm.commanded_torques`, `arm.torques`,
+                `goal.joint_angles`, `push.vector` or `arm.show_axes`.
+            values: values in the shape of the input, in SI units. Joint values can also be a vector
+                for the whole model, shape (nv,), or a mapping from joint names to values.
 
         Raises:
-            UnknownName: there is no such input or joint; suggests the nearest name.
-            ValueError: the values do not fit the input.
+            UnknownName: there is no such input or joint. The message suggests a similar name.
+            ValueError: the values do not have the shape or range of the input.
         """
         self.world.set_input(self.data, target, values)
 
@@ -92,16 +93,19 @@ class Overlay:
         """Returns the inputs of a robot or double as attributes: `robot("arm").torques = ...`.
 
         Raises:
-            UnknownName: there is no robot or double with this name; suggests the nearest name.
+            UnknownName: there is no such robot or double. The message suggests a similar name.
         """
         return RobotInputs(self, name)
 
     def clear(self, target: str) -> None:
-        """Clears an input. Cleared torques and accelerations are again computed by the model."""
+        """Clears an input. The model then computes cleared torques and accelerations again."""
         self.world.clear_input(target)
 
     def frame(self, name: str) -> Array:
-        """Returns T_world_name (4, 4) of a frame such as `arm/hand`, translation in m.
+        """Returns the pose of a frame, such as `arm/hand`, in the world.
+
+        Returns:
+            homogeneous transform T_world_frame, shape (4, 4), with the translation in m.
 
         Raises:
             UnknownName: there is no such frame.
@@ -109,15 +113,14 @@ class Overlay:
         return self.world.frame(self.data, name)
 
     def draw(self, target: Any, camera: Any = None, size: tuple[int, int] | None = None) -> int:
-        """Adds the visual features to a scene that MuJoCo has filled.
+        """Adds arrows, billboards, doubles and axes to a scene that MuJoCo has filled.
 
         Args:
-            target: a `mujoco.Renderer` after `update_scene`, the viewer of
-                `mujoco.viewer.launch_passive` (whose `user_scn` is cleared first), or an
-                `MjvScene`.
+            target: a `mujoco.Renderer` after `update_scene`, an `MjvScene`, or the viewer of
+                `mujoco.viewer.launch_passive`, whose `user_scn` is cleared first.
             camera: camera for a scene without one: an `MjvCamera`, a camera's name, or
                 `azimuth,elevation,distance` (degrees, degrees, m).
-            size: size of the image, pixels; None for the size of the target.
+            size: width and height of the image in pixels; None for the size of the target.
 
         Returns:
             number of geoms that exceeded the capacity of the scene, also stored in `dropped`.
@@ -130,7 +133,7 @@ class Overlay:
         width, height = size or own_size
         if not (width > 0 and height > 0):
             found = f"found {width} x {height}"
-            raise UsageError(Problem("size", found, expected="pixels above 0"))
+            raise UsageError(Problem("size", found, expected="a size above 0"))
         if camera is not None:
             look = find_camera(self.world, camera) if isinstance(camera, str) else camera
             mujoco.mjv_updateCamera(self.model, self.data, look, scene)
@@ -144,10 +147,13 @@ class Overlay:
         return self._decor.draw(self.data, view, scene)
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
-        """Returns the item at a pixel of the last frame; (0, 0) is the upper left corner.
+        """Returns the item at a pixel of the last frame, or None if there is none.
 
         Args:
-            tolerance: maximum distance from an item of decor if no item is hit exactly, pixels.
+            x: distance of the pixel from the left edge of the image.
+            y: distance of the pixel from the upper edge of the image.
+            tolerance: maximum distance in pixels from an arrow, billboard or other item that is not
+                part of the model, if no item is hit exactly.
 
         Raises:
             UsageError: nothing has been drawn yet.
@@ -173,9 +179,13 @@ class Overlay:
         height: int = DEFAULT_SIZE[1],
         camera: str | mujoco.MjvCamera | None = None,
     ) -> ImageArray:
-        """Renders an image without a window. Notebooks display it; `.save("out.png")` writes it.
+        """Renders an image without a window.
+
+        Notebooks display the returned image, and its method `save("out.png")` writes a file.
 
         Args:
+            width: width of the image in pixels.
+            height: height of the image in pixels.
             camera: a camera's name, `azimuth,elevation,distance` (degrees, degrees, m), an
                 `MjvCamera`, or None for a view of all robots.
 
@@ -200,7 +210,7 @@ class Overlay:
         return image
 
     def check_frames(self) -> None:
-        """Warns once if `mj_forward` has not been called for the data."""
+        """Logs a warning, only once, if `mj_forward` has not been called for the data."""
         if not self._has_warned and not self.data.xmat.any():
             self._has_warned = True
             log.warning(
@@ -241,7 +251,7 @@ def _canvas_of(target: Any) -> tuple[mujoco.MjvScene, Font, Any, tuple[int, int]
     if getattr(target, "user_scn", None) is not None and hasattr(target, "cam"):
         view = target.viewport
         size = _SCENE_SIZE if view is None else (int(view.width), int(view.height))
-        target.user_scn.ngeom = 0  # clears the geoms of the last frame; MuJoCo does not
+        target.user_scn.ngeom = 0  # MuJoCo does not clear the geoms of the last frame.
         return target.user_scn, DEFAULT_FONT, target.cam, size
     expected = "a mujoco.Renderer, a viewer of mujoco.viewer.launch_passive, or a mujoco.MjvScene"
     raise UsageError(Problem("", f"found {type(target).__name__}", expected=expected))
@@ -259,36 +269,37 @@ def overlay(
     surroundings: bool = True,
     name: str = "overlay",
 ) -> Overlay:
-    """Finds the robots in a compiled model and returns an overlay that draws their features.
+    """Finds the robots in a compiled model, and returns an overlay that draws their features.
 
     A robot is a kinematic tree: a child body of the world and all its descendants, with at least
-    one hinge or slide joint. If the model has actuators, the tree must be driven by one or be named
-    in `robots`. Limbs of a trunk that is fused with the world form one robot. A robot is named
-    after the root body, or after the model if the root body is named `base_link` or similar.
+    one hinge or slide joint. If the model has actuators, one of them must drive the tree, or
+    `robots` must contain its name. Limbs of a trunk that is fused with the world form one robot. A
+    robot is named after its root body, or after the model if the root body has a name such as
+    `base_link`.
 
     Arrows show `data.qfrc_actuator`, the actuator forces at the joints, until `ROBOT.torques` is
-    set; `ROBOT.commanded_torques` has no default. Arrows have full width at the limit of the joint
+    set. `ROBOT.commanded_torques` has no default. Arrows have full width at the limit of the joint
     or its actuators, or at the gravity load of the joint if there is no limit. Free and ball joints
     have no arrow.
 
     Args:
-        model: a `mujoco.MjModel`, which is not changed; or a source to compile: a
-            `mujoco.MjSpec`, a PyMJCF `RootElement`, a dm_control composer entity.
-        data: data of the model, not changed; None to create data.
-        robots: mapping from robot names to fields that override the model: `torque_limits`,
-            `arrow_radius`, `axes_size`, `billboard_lines`, `show_axes`, ... as in `SerialRobot`.
+        model: a `mujoco.MjModel`, which is not changed, or a model to compile: a `mujoco.MjSpec`,
+            a PyMJCF `RootElement`, or a dm_control composer entity.
+        data: data of the model, which is not changed; None to create the data.
+        robots: mapping from robot names to fields of `SerialRobot` that override the model, such as
+            `torque_limits`, `arrow_radius`, `axes_size`, `billboard_lines` or `show_axes`.
         doubles: transparent doubles of robots of the model.
-        arrows: Cartesian vectors at frames (`arm/hand`).
-        frames: other bodies and sites whose axes are shown.
+        arrows: Cartesian vectors at frames, such as `arm/hand`.
+        frames: names of other bodies and sites whose axes are shown.
         toggles: initial switches of the whole scene.
         surroundings: whether `image` and windows add a floor, a sky and lights if the model has
             none. Other renderers and pages show only the surroundings of the model.
         name: title of the window.
 
     Raises:
-        UsageError: `data` belongs to another model, or an argument has another type.
-        DeclarationError: the model has no hinge or slide joint, or a field does not fit it.
-        UnknownName: there is no such robot, body or site; suggests the nearest name.
+        UsageError: `data` belongs to another model, or an argument has a wrong type.
+        DeclarationError: the model has no hinge or slide joint, or a field is invalid for it.
+        UnknownName: there is no such robot, body or site. The message suggests a similar name.
     """
     if is_mjcf_object(model):
         model = as_spec(model, Path()).compile()
@@ -298,7 +309,7 @@ def overlay(
         raise UsageError(Problem("robots", found=robots, expected=expected))
     if isinstance(frames, str):
         frames = [frames]
-    adopt_backend()  # also for a renderer of the user's own
+    adopt_backend()  # A renderer that the user has created needs it, too.
     if data is None:
         data = mujoco.MjData(model)
         mujoco.mj_forward(model, data)
@@ -321,8 +332,8 @@ def overlay(
 def _check_model(model: Any) -> None:
     if not isinstance(model, mujoco.MjModel):
         expected = (
-            "a compiled mujoco.MjModel, as of mujoco.MjModel.from_xml_path, or an MjSpec or a "
-            "PyMJCF model"
+            "a compiled mujoco.MjModel, for example from mujoco.MjModel.from_xml_path, an MjSpec "
+            "or a PyMJCF model"
         )
         raise UsageError(Problem("model", f"found {type(model).__name__}", expected=expected))
 
@@ -341,11 +352,11 @@ def _check_data(model: mujoco.MjModel, data: Any) -> None:
                 "data",
                 f"found data of a model with {field} =",
                 found=found,
-                expected=f"{expected}: mujoco.MjData(model) of the same model",
+                expected=f"{expected}, as in mujoco.MjData(model)",
             )
             raise UsageError(problem)
     for field in ("jnt_type", "jnt_bodyid", "body_parentid"):
         if not np.array_equal(getattr(other, field), getattr(model, field)):
             found = f"found data of a model with another {field}"
-            expected = "mujoco.MjData(model) of the same model"
+            expected = "data of the same model, created with mujoco.MjData(model)"
             raise UsageError(Problem("data", found, expected=expected))

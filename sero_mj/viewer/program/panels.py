@@ -1,7 +1,7 @@
-"""`UserPanel`: the widgets that a program adds to its viewer, in the program's process.
+"""`UserPanel`: adds widgets to a viewer from the user's program.
 
 The tool `user_panels` shows the widgets in the viewer's process. Both the program and the user
-change values. Each change by the program has a number. Each change by the user carries the last
+change values. Each change by the program has a number. Each change by the user contains the last
 number that the viewer has received, so that the program ignores changes that it has overridden.
 """
 
@@ -35,7 +35,7 @@ Callback = Callable[..., object]
 
 
 class WidgetHandle(Generic[Value]):
-    """A widget of a panel, created by `UserPanel`."""
+    """A widget in the viewer's panel, returned by the methods of `UserPanel`."""
 
     def __init__(
         self, panels: UserPanels, place: Place, state: WidgetState, callback: Callback | None
@@ -45,10 +45,10 @@ class WidgetHandle(Generic[Value]):
 
     @property
     def value(self) -> Value:
-        """Value of the widget. Setting the value does not call the callback.
+        """Value of the widget. Setting it does not call the widget's callback.
 
         Raises:
-            UsageError: the value is invalid for the widget.
+            UsageError: the new value is invalid for the widget.
         """
         value: Value = self.state.value
         return value
@@ -64,13 +64,13 @@ class WidgetHandle(Generic[Value]):
 
 
 class UserPanel:
-    """A section of the viewer's panel with widgets of the program; see `Viewer.panel`.
+    """A section of the viewer's panel with widgets of the program, returned by `Viewer.panel`.
 
-    `Viewer.sync` calls the callback of each widget that the user has changed since the last `sync`.
+    `Viewer.sync` calls the callback of each widget that the user has changed since the last call.
     The callback of a button is called once for each press. Values also change without `sync`.
 
-    Every method raises UsageError if the panel already has a widget with the label, or an argument
-    is invalid, and RenderError if the viewer is closed.
+    Every method raises UsageError if an argument is invalid or the panel already has a widget with
+    the same label. It raises RenderError if the viewer is closed.
     """
 
     def __init__(self, panels: UserPanels, title: str) -> None:
@@ -87,7 +87,7 @@ class UserPanel:
         unit: str = "",
         on_change: Callable[[float], object] | None = None,
     ) -> WidgetHandle[float]:
-        """Adds a slider. Its initial value is `low` if `value` is None."""
+        """Adds a slider for numbers from `low` to `high`. The initial value defaults to `low`."""
         low, high = to_number(label, low), to_number(label, high)
         widget = SliderWidget(label, low, high, unit)
         return self._add(widget, low if value is None else value, on_change, "on_change")
@@ -102,7 +102,7 @@ class UserPanel:
         unit: str = "",
         on_change: Callable[[float], object] | None = None,
     ) -> WidgetHandle[float]:
-        """Adds a number field."""
+        """Adds a field in which the user enters a number from `low` to `high`."""
         return self._add(NumberWidget(label, low, high, unit), value, on_change, "on_change")
 
     def check(
@@ -123,7 +123,7 @@ class UserPanel:
         value: str | None = None,
         on_change: Callable[[str], object] | None = None,
     ) -> WidgetHandle[str]:
-        """Adds a drop-down list of names, which must differ."""
+        """Adds a drop-down list of distinct names. The initial value defaults to the first one."""
         widget = ChoiceWidget(label, (names,) if isinstance(names, str) else (*names,))
         chosen = widget.names[0] if value is None else value
         return self._add(widget, chosen, on_change, "on_change")
@@ -131,15 +131,15 @@ class UserPanel:
     def button(
         self, label: str, *, on_click: Callable[[], object] | None = None
     ) -> WidgetHandle[int]:
-        """Adds a button, whose value is the number of presses."""
+        """Adds a button. The value of its handle is the number of presses."""
         return self._add(ButtonWidget(label), 0, on_click, "on_click")
 
     def text(self, text: str) -> WidgetHandle[str]:
-        """Adds a line of text. The program can change the text with `value`."""
+        """Adds a line of text, which the program can change with the `value` of the handle."""
         return self._add(TextWidget(f"text {len(self._labels)}"), text, None, "")
 
     def clear(self) -> None:
-        """Removes all widgets."""
+        """Removes all widgets from the panel."""
         for label in self._labels:
             self._panels.remove((self._title, label))
         self._labels.clear()
@@ -160,25 +160,25 @@ class UserPanel:
 
 
 class UserPanels:
-    """All panels of a viewer.
+    """All panels that a program has added to its viewer.
 
     Args:
         outbox: outbox that sends changes by the program.
         is_open: function that returns whether the viewer is open.
 
     Attributes:
-        has_changes: whether there are changes by the user that `call` has not handled.
+        has_changes: whether the user has made changes that `call` has not handled yet.
     """
 
     def __init__(self, outbox: Outbox, is_open: Callable[[], bool]) -> None:
         self._outbox, self.is_open = outbox, is_open
         self.has_changes = False
         self._panels: dict[str, UserPanel] = {}
-        self._lock = threading.Lock()  # for all fields below
+        self._lock = threading.Lock()  # protects all fields below
         self._numbers = itertools.count(1)
         self._handles: dict[Place, WidgetHandle[Any]] = {}
         self._unsent: set[Place] = set()
-        self._before: dict[WidgetHandle[Any], Any] = {}  # values at the last `call`
+        self._before: dict[WidgetHandle[Any], Any] = {}  # values at the last call of `call`
 
     def panel(self, title: str) -> UserPanel:
         check_label("panel", title)
@@ -201,7 +201,7 @@ class UserPanels:
         return handle
 
     def change(self, handle: WidgetHandle[Value], value: Value) -> None:
-        """Changes the value of a widget, without showing a removed widget again."""
+        """Changes the value of a widget. A removed widget stays hidden."""
         with self._lock:
             handle.state = handle.state._replace(value=value, number=next(self._numbers))
             if self._handles.get(handle.place) is handle:
@@ -224,7 +224,7 @@ class UserPanels:
         return changes or None
 
     def receive(self, changes: Mapping[Place, tuple[Any, int]]) -> None:
-        """Applies changes by the user: each value, and the number of the last received change."""
+        """Applies the values that the user has set, unless the program has overridden them."""
         with self._lock:
             for place, (value, number) in changes.items():
                 handle = self._handles.get(place)

@@ -1,8 +1,7 @@
-"""`ViewerProcess`: starts and controls the process of a viewer, in the user's program.
+"""`ViewerProcess`: starts and controls the process of a viewer from the user's program.
 
-Both processes exchange pickled messages over the viewer's standard input and output. The viewer's
-process ends when its input is closed. Its standard error goes to a file, and is reported if the
-process dies.
+Both processes exchange pickled messages over the standard input and output of the viewer's process,
+which ends when its input is closed. If the process dies, its standard error is reported.
 """
 
 from __future__ import annotations
@@ -32,32 +31,33 @@ from ..image.picking import Picked
 
 log = logging.getLogger(__name__)
 
-# With the module search path of this process.
+# The viewer's process uses the module search path of the user's program.
 _PROGRAM = (
     "import pickle, sys; sys.path[:] = pickle.load(sys.stdin.buffer); "
     "from sero_mj.viewer.program.process_main import main; main()"
 )
-_CLOSE_TIMEOUT = 5.0  # s after which the process is killed
+_CLOSE_TIMEOUT = 5.0  # time after which the process is killed, s
 _IMAGE_TIMEOUT = 30.0  # s; software rendering takes several seconds for the first image
-_MAX_CLICKS = 1000  # clicks that wait to be handled
+_MAX_CLICKS = 1000  # maximum number of clicks that have not been handled
 
 
 class ViewerProcess:
-    """A process that shows a scene or an overlay.
+    """The process of a viewer, which shows a scene or an overlay.
 
-    The process starts to load while this process compiles the scene. Call `describe`, then `open`.
+    The process imports modules while the user's program compiles the scene. Call `describe`, then
+    `open`.
 
     Attributes:
         clicks: clicked items and gestures, oldest first. The caller removes each click that it
             handles.
         is_open: whether the process is running.
-        answers: mapping from tool names to functions that receive the messages of the tool on
-            another thread.
+        answers: mapping from tool names to functions that receive the messages of the tool. They
+            are called on another thread.
     """
 
     def __init__(self, *, is_window: bool) -> None:
         environment = {**os.environ, **({"MUJOCO_GL": "glfw"} if is_window else {})}
-        # In its own process group, so that Ctrl+C in the terminal only interrupts the user's loop.
+        # The child has its own process group, so that Ctrl+C only interrupts the user's program.
         self._child = ChildProcess(
             [sys.executable, "-c", _PROGRAM],
             stdin=subprocess.PIPE,
@@ -69,7 +69,7 @@ class ViewerProcess:
         self.is_open = True
         self.answers: dict[str, Callable[[Any], None]] = {}
         self._owner = os.getpid()
-        self._is_closing = False  # also set if the user has closed the viewer
+        self._is_closing = False  # also True if the user has closed the viewer
         self._images: queue.SimpleQueue[tuple[int, Any]] = queue.SimpleQueue()
         self._requested = 0  # number of the last requested image
         self._listener = threading.Thread(target=self._listen, daemon=True, name="sero-mj viewer")
@@ -82,16 +82,16 @@ class ViewerProcess:
             with self._sending:
                 self._process.stdin.write(pickle.dumps(message))
                 self._process.stdin.flush()
-        except (OSError, ValueError):  # the process has ended; `_listen` reports why
+        except (OSError, ValueError):  # The process has ended, and `_listen` reports the reason.
             return False
         return True
 
-    def tell(self, tool: str, message: Any) -> bool:
-        """Sends a message to a tool of the view; returns whether the process is running."""
-        return self._send(("tell", tool, message))
+    def send(self, tool: str, message: Any) -> bool:
+        """Sends a message to a tool of the viewer, and returns whether the process is running."""
+        return self._send(("message", tool, message))
 
     def describe(self, shown: Any) -> None:
-        """Sends a scene or model, which both processes compile at the same time.
+        """Sends a scene or model to the viewer's process, which compiles it.
 
         Raises:
             UsageError: the scene cannot be pickled.
@@ -100,13 +100,13 @@ class ViewerProcess:
         self._send(("describe", _pickled(shown), level))
 
     def open(self, memory: str, options: dict[str, Any]) -> list[str]:
-        """Opens the window or page, and the scene's sources; returns the page's addresses.
+        """Opens the window or page and the scene's sources, and returns the addresses of the page.
 
         Args:
             memory: path of the shared memory.
 
         Raises:
-            SeroError: error that was raised in the viewer's process.
+            SeroError: an error in the viewer's process.
             RenderError: the process has died.
         """
         self._send(("open", memory, options))
@@ -158,14 +158,14 @@ class ViewerProcess:
     def _ending(self) -> str:
         try:
             self._process.wait(_CLOSE_TIMEOUT)
-        except subprocess.TimeoutExpired:  # the process runs, but its output is not a message
+        except subprocess.TimeoutExpired:  # The process runs, but its output is not a message.
             self._process.kill()
             self._process.wait()
         how, lines = self._child.status, self._child.lines()
         return f"{how}; last output: {lines[-1]}" if lines else how
 
     def image(self) -> Pixels:
-        """Returns the next image, (height, width, 3), uint8.
+        """Returns the next image of the viewer, shape (height, width, 3), uint8.
 
         Raises:
             RenderError: the viewer is closed, or cannot render.
@@ -177,27 +177,27 @@ class ViewerProcess:
             try:
                 number, found = self._images.get(timeout=max(end - time.monotonic(), 0.0))
             except queue.Empty:
-                text = f"no image: the viewer has not rendered one in {_IMAGE_TIMEOUT:g} s"
+                text = f"the viewer has not rendered an image within {_IMAGE_TIMEOUT:g} s"
                 raise RenderError(text) from None
             if number == -1:
                 break
             if number != self._requested:
-                continue  # the image of an earlier request
+                continue  # This is the image of an earlier request.
             if isinstance(found, Exception):
                 raise found
             pixels: Pixels = found
             return pixels
-        raise RenderError("no image: the viewer is closed")
+        raise RenderError("cannot render an image: the viewer is closed")
 
     def close(self, *, at_once: bool = False) -> None:
         if os.getpid() != self._owner:
-            return  # a forked copy of the process that started the viewer
+            return  # This process is a fork of the process that started the viewer.
         self._is_closing, self.is_open = True, False
         process = self._process
         assert process.stdin is not None
         assert process.stdout is not None
         is_mine = self._sending.acquire(timeout=_CLOSE_TIMEOUT)
-        if at_once or not is_mine:  # a thread is blocked in `_send`
+        if at_once or not is_mine:  # Another thread may be blocked in `_send`.
             process.kill()
         with suppress(OSError, ValueError):
             process.stdin.close()
@@ -232,7 +232,7 @@ def _pickled(shown: Any) -> bytes:
         _Pickler(buffer).dump(shown)
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise UsageError(
-            f"scene: cannot be sent to the viewer's process ({error}); its sources and functions "
-            "must be picklable: define them at the top level of a module"
+            f"scene: cannot be sent to the viewer's process ({error}). Its sources and functions "
+            "must be picklable; define them at the top level of a module"
         ) from error
     return buffer.getvalue()

@@ -1,7 +1,7 @@
 """The main function of a viewer's process, which shows a scene or an overlay.
 
-`process.py` sends messages on the standard input. The viewer closes when this input ends, because
-the user's program has then ended.
+`process.py` sends messages to the standard input. The end of this input means that the user's
+program has ended, so the viewer closes.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
-_HIDDEN_INTERVAL = 0.1  # s between frames of a page that no browser shows
-_CLOSE_TIMEOUT = 5.0  # s after which the process ends, even while it renders
+_HIDDEN_INTERVAL = 0.1  # time between frames of a page that no browser shows, s
+_CLOSE_TIMEOUT = 5.0  # time after which the process ends, even while it renders, s
 
 
 def main() -> None:
-    """Shows the scene or overlay of the first message, and ends the process."""
+    """Shows the scene or overlay of the first message until it is closed, then ends the process."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     program = _Program()
     status = 0
@@ -52,9 +52,9 @@ def main() -> None:
         status = 1
         print_exc()
     except SystemExit:
-        pass  # closed before it was opened
+        pass  # The program has ended before the viewer was open.
     sys.stderr.flush()
-    # Immediately: the thread that reads messages is still waiting.
+    # The process must end at once, because a thread is still waiting for messages.
     os._exit(status)
 
 
@@ -63,7 +63,7 @@ class _Program:
         self.is_shown = False
         self._process = os.getppid()
         self.messages: queue.SimpleQueue[tuple[Any, ...] | None] = queue.SimpleQueue()
-        # Messages use a copy of the standard output. Printed text goes to the standard error.
+        # Messages use a copy of the standard output, and printed text goes to the standard error.
         self._out = os.fdopen(os.dup(1), "wb")
         os.dup2(2, 1)
         self._sending = threading.Lock()
@@ -89,10 +89,8 @@ class _Program:
         return message[1:]
 
     def send(self, *message: Any) -> None:
-        with (
-            suppress(OSError),
-            self._sending,
-        ):  # the program has ended, which `_listen` detects, too
+        # If the program has ended, `_listen` detects it.
+        with suppress(OSError), self._sending:
             self._out.write(pickle.dumps(message))
             self._out.flush()
 
@@ -107,7 +105,7 @@ class _LogSender(logging.Handler):
 
 
 class _SceneMirror(Mirror):
-    """A mirror that applies the inputs of the user before the inputs of the sources."""
+    """A mirror that applies the inputs of the user's program before those of the sources."""
 
     take: Callable[[], None]
 
@@ -117,7 +115,7 @@ class _SceneMirror(Mirror):
 
 
 class _OverlayMirror(Watch):
-    """A mirror of a model that the user steps."""
+    """A mirror of a model that the user's program steps."""
 
     take: Callable[[], None]
 
@@ -129,7 +127,7 @@ class _OverlayMirror(Watch):
 def _show(program: _Program) -> None:
     pickled, level = program.receive("describe")
     mirror, make_memory = _mirror_of(pickled)
-    # Set up only now, because the program has already logged the warnings about the scene.
+    # The user's program has already logged the warnings that occur above.
     logging.getLogger("sero_mj").setLevel(level)
     logging.getLogger().addHandler(_LogSender(program))
     path, options = program.receive("open")
@@ -154,9 +152,9 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
         shown = pickle.loads(pickled)
     except (AttributeError, ImportError) as error:
         raise UsageError(
-            f"scene: cannot be read by the viewer's process ({error}); sources and other classes "
-            "of your own must be defined in a module that can be imported, not in the script or "
-            "notebook itself"
+            f"scene: cannot be read by the viewer's process ({error}). Define your own sources "
+            "and other classes in a module that can be imported, not in the script or notebook "
+            "itself"
         ) from None
     if isinstance(shown, Scene):
         scene = _SceneMirror(shown)
@@ -167,7 +165,7 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
 
 
 def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
-    last = options.pop("last", {})  # the port of the page that is opened again
+    last = options.pop("last", {})  # port of the page that is opened again
     if options.pop("web"):
         from .viewer import open_page
 
@@ -176,7 +174,7 @@ def _open_host(mirror: LiveWorld, options: dict[str, Any]) -> LiveHost:
         except RenderError:
             if not last or "port" in options:
                 raise
-            # The port is in use now.
+            # Another program may use the port now.
             page = open_page(mirror, **options)
         return page
     from ..window.host import Window
@@ -205,13 +203,13 @@ def _take(
     message: tuple[Any, ...], program: _Program, host: LiveHost, memory: ViewerMemory
 ) -> None:
     kind, *rest = message
-    if kind == "tell":
-        name, words = rest
+    if kind == "message":
+        name, contents = rest
         if name in host.tools:
-            host.tools.call(host.tools[name], lambda tool: tool.receive(words))
+            host.tools.call(host.tools[name], lambda tool: tool.receive(contents))
     else:
         (number,) = rest
-        host.frame()  # with the inputs that were set before the request
+        host.frame()  # The image must show the inputs that were set before the request.
         memory.show()
         program.send("image", number, _image(host))
 

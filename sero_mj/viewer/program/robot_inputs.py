@@ -1,4 +1,4 @@
-"""`RobotInputs`: the inputs of one robot or double as attributes, for viewers and overlays."""
+"""`RobotInputs`: attributes that set the inputs of one robot or double of a viewer or overlay."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..decor.quantities import joint_values
 
 
 class HasInputs(Protocol):
-    """A viewer or an overlay."""
+    """Interface of viewers and overlays, whose inputs a program sets."""
 
     @property
     def world(self) -> WorldView: ...
@@ -28,10 +28,10 @@ class HasInputs(Protocol):
 
 
 class JointInput:
-    """An attribute with one value per joint, shape (n,), in SI units; NaN means no data.
+    """Attribute of `RobotInputs` with one value per joint in SI units, shape (n,); NaN for no data.
 
-    An overlay also accepts a mapping from joint names to numbers and, except for joint angles, a
-    vector of the whole model, shape (nv,).
+    An overlay also accepts a mapping from joint names to numbers. Except for joint angles, it also
+    accepts a vector for the whole model, shape (nv,).
     """
 
     def __set_name__(self, owner: type, name: str) -> None:
@@ -48,10 +48,11 @@ class JointInput:
 
 
 class RobotInputs:
-    """The inputs of one robot or double, or of all robots of a group one after the other.
+    """The inputs of a robot, a double or a group as attributes, which a program can set.
 
-    Additional inputs that a robot declares (`inputs = ["temperatures"]`), frames and toggles can
-    also be set with `set` or as attributes.
+    The values of a group are those of its robots, one robot after the other. Additional inputs that
+    a robot declares (`inputs = ["temperatures"]`), frames and toggles can also be set with `set` or
+    as attributes.
 
     Attributes:
         joint_angles: joint angles, shape (n,), rad or m; read-only for robots of an overlay.
@@ -61,7 +62,7 @@ class RobotInputs:
         billboard_values: values that the billboards of the joints show, shape (n,).
 
     Raises:
-        UnknownName: there is no robot or double with this name; suggests the nearest name.
+        UnknownName: there is no such robot, double or group. The message suggests a similar name.
     """
 
     __slots__ = ("_name", "_of")
@@ -89,10 +90,10 @@ class RobotInputs:
             self.set(key, values)
 
     def set(self, key: str, values: Any) -> None:
-        """Sets an input by name.
+        """Sets an input by name, such as `torques`.
 
         Raises:
-            UnknownName: there is no input with this name; suggests the nearest name.
-            ValueError: the values do not fit the input.
+            UnknownName: there is no such input. The message suggests a similar name.
+            ValueError: the values do not have the shape or range of the input.
         """
         self._of.set(f"{self._name}.{key}", values)

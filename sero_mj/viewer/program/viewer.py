@@ -35,18 +35,16 @@ from .robot_inputs import RobotInputs
 if TYPE_CHECKING:
     from ..web.host import WebHost
 
-_shown: list[
-    Viewer
-] = []  # open viewers; in a notebook, there may be no other reference to a viewer
+_shown: list[Viewer] = []  # open viewers, to which notebooks may have no other reference
 
 
 class NotebookCells(Protocol):
-    """Notebook cells that display a viewer; an entry point of `sero_mj.notebooks` creates them."""
+    """Notebook cells that display a viewer, created by an entry point of `sero_mj.notebooks`."""
 
     def show(self) -> None: ...
 
     def store_last(self) -> None:
-        """Stores the run up to now in the notebook, before the viewer is closed."""
+        """Stores the run up to now in the notebook. Must be called before the viewer is closed."""
 
     def close(self, *, is_exit: bool = False) -> None: ...
 
@@ -54,8 +52,8 @@ class NotebookCells(Protocol):
 class Viewer:
     """A window or web page in a separate process, which displays values that the program sets.
 
-    The viewer renders independently of the program until the viewer is closed or this process ends.
-    A viewer can be used as a context manager.
+    A viewer renders independently of the program until it is closed or the program ends. It can be
+    used as a context manager.
 
     Attributes:
         urls: all addresses of the page, including addresses for other machines; empty for a window.
@@ -70,7 +68,7 @@ class Viewer:
         self.url: str | None = urls[0] if urls else None
         self._process, self._memory = process, memory
         self._on_click: OnClick | None = None
-        self._outbox = Outbox(process.tell)
+        self._outbox = Outbox(process.send)
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
         self._signals = UserSignals(self._outbox)
         process.answers[PANELS] = self._panels.receive
@@ -83,11 +81,11 @@ class Viewer:
 
     @property
     def data(self) -> mujoco.MjData:
-        """State of the world at the last `sync`; for an overlay, the user's own data.
+        """State of the scene at the last `sync`, or the user's own data for an overlay.
 
-        The state includes values that were set and data of the scene's sources. Change the state
-        only with `set` and `robot`. After the first access, every `sync` updates the state, which
-        takes about 50 us per frame.
+        The state contains the values set by the program and the data of the scene's sources. Change
+        it only with `set` and `robot`. After the first access, every `sync` updates the state,
+        which takes about 50 us per frame.
         """
         if not self._memory.is_read:
             self._memory.is_read = True
@@ -109,34 +107,35 @@ class Viewer:
         """Sets an input. The next frame shows the values.
 
         Args:
-            target: `lwr.joint_angles`, `lwr.torques`, `goal.joint_angles`, `push.vector`,
-                `lwr.show_axes`, `toggles.legend`, ...; or an input of a group,
-                `justin.joint_angles`.
-            values: values in the shape of the input, SI units. For a group: values of all joints
-                or of the independent joints, in the order of the group's robots.
+            target: name of the input of a robot, double, arrow or group, or of a switch. Examples:
+                `lwr.torques`, `goal.joint_angles`, `push.vector`, `justin.joint_angles`,
+                `lwr.show_axes`, `toggles.legend`.
+            values: values in the shape of the input, in SI units. A group needs the values of all
+                joints or of the independent joints, in the order of its robots.
 
         Raises:
-            UnknownName: there is no such input; lists the existing inputs.
-            ValueError: the values do not fit the input.
+            UnknownName: there is no such input. The message lists the existing inputs.
+            ValueError: the values do not have the shape or range of the input.
         """
         self._memory.set(target, values)
 
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
 
-        The inputs of a group contain the values of the group's robots, in the group's order.
+        The inputs of a group contain the values of its robots, in the order of the robots.
 
         Raises:
-            UnknownName: there is no such robot, double or group; suggests the nearest name.
+            UnknownName: there is no such robot, double or group. The message suggests a similar
+                name.
         """
         return RobotInputs(self, name)
 
     def sync(self) -> bool:
-        """Sends the state of an overlay's model, receives the displayed state, and calls callbacks.
+        """Exchanges states with the viewer, and calls callbacks of clicks and widgets.
 
-        The call never blocks (1 us for a scene, about 30 us for an overlay), so it can be made in
-        every cycle of a fast loop. Errors of the viewer are not raised. A program that only calls
-        `set` does not need `sync`.
+        For an overlay, `sync` sends the state of the model. It never blocks and takes 1 us for a
+        scene and about 30 us for an overlay, so a fast loop can call it in every cycle. Errors of
+        the viewer are not raised. A program that only calls `set` does not need `sync`.
 
         Returns:
             whether the viewer is open.
@@ -152,18 +151,18 @@ class Viewer:
         return self.is_open
 
     def on_click(self, callback: OnClick) -> None:
-        """Registers `callback(picked, gesture)`, which `sync` calls for every click."""
+        """Registers a function that `sync` calls with the picked item and gesture of each click."""
         if not callable(callback):
             found = type(callback).__name__
             raise UsageError(f"on_click: found {found}; expected callback(picked, gesture)")
         self._on_click = callback
 
     def panel(self, title: str) -> UserPanel:
-        """Returns a section of the panel for widgets of the program.
+        """Returns a section of the viewer's panel, to which the program can add widgets.
 
             stiffness = viewer.panel("Tuning").slider("stiffness", 0, 2000, value=500)
 
-        `stiffness.value` is the value that the user has set; see `UserPanel`.
+        Here, `stiffness.value` is the value that the user has set. See `UserPanel`.
 
         Raises:
             UsageError: the title is invalid.
@@ -172,12 +171,13 @@ class Viewer:
         return self._panels.panel(title)
 
     def plot(self, name: str, value: float) -> None:
-        """Plots a value over time; each name is a line in a plot beside the image.
+        """Adds the current value of a signal to the plot beside the image.
 
-        The call takes about a microsecond, so it can be made in every cycle of a fast loop. Plots
-        show the minimum and maximum in bins of 2 ms. A closed viewer ignores the value.
+        The call takes about 1 us, so a fast loop can plot in every cycle. Lines show the minimum
+        and maximum of each 2 ms. A closed viewer ignores the value.
 
         Args:
+            name: name of the signal, which has its own line in the plot.
             value: current value; NaN for a gap.
 
         Raises:
@@ -186,7 +186,7 @@ class Viewer:
         self._signals.add(name, value)
 
     def image(self) -> ImageArray:
-        """Returns an image with all values that were set, without status line and messages.
+        """Renders an image with all values that were set, without status line and messages.
 
         Raises:
             RenderError: the viewer is closed, or cannot render.
@@ -251,9 +251,9 @@ def view(
     port: int | None = None,
     token: bool = True,
 ) -> Viewer:
-    """Opens a window or a web page that shows a scene, in a separate process, and returns.
+    """Opens a window or a web page that shows a scene, in a separate process.
 
-    The viewer mirrors the scene's sources, if any. The caller can set all inputs:
+    The viewer shows the data of the scene's sources, if any. The program can set all inputs:
 
         with sero_mj.view("lwr_udp") as viewer:
             while viewer.sync():
@@ -262,14 +262,18 @@ def view(
 
     The viewer stays open without further calls, for example in a notebook. Another call for a scene
     with the same name and robots, for example when a cell is run again, replaces the window or
-    page; the page stays at its port.
+    page. The new page has the same port.
 
     Args:
-        scene: a `Scene`, a TOML file, the name of an included scene, scenario or robot, or an
-            `overlay` whose data the caller steps.
+        scene: a `Scene`, the path of a TOML file, the name of an included scene, scenario or robot,
+            or an `overlay` whose model the program steps.
         web: True for a page, whose address is printed; False for a window; None for a page only if
             there is no display for a window.
-        look: `light` or `dark`, overrides the look of the scene; not available for an overlay.
+        camera: initial camera: a camera's name, or `azimuth,elevation,distance` (degrees, degrees,
+            m); None for the view of the scene.
+        look: `light` or `dark`, which overrides the look of the scene; not available for overlays.
+        size: width and height of the window in pixels.
+        full_screen: whether the window covers the screen.
         host: address at which the page is served; None for this machine only.
         port: port of the page; None for the first free port from 8080.
         token: whether the page needs a secret token, which the printed address contains. A page
@@ -288,7 +292,7 @@ def view(
         if value is not None:
             what = "windows" if web else "web pages"
             raise UsageError(
-                f"{name}: found {shown(value)}; only {what} have this option: use web={not web}"
+                f"{name}: found {shown(value)}; only {what} have this option. Set web={not web}"
             )
     subject = _to_show(scene, look)
     options: dict[str, Any] = {"web": web, "camera": camera}
@@ -311,7 +315,7 @@ def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, 
     memory: ViewerMemory
     if isinstance(shown, Scene):
         process.describe(shown)
-        mirror = Mirror(shown)  # also raises errors of sources and routes
+        mirror = Mirror(shown)  # This also raises errors of sources and routes.
         world: WorldView = mirror.world
         memory = SceneMemory(world, mirror.data)
     else:
@@ -340,7 +344,7 @@ def _replace(scene: Scene, options: dict[str, Any]) -> None:
 
 
 def open_page(mirror: LiveWorld, **options: Any) -> WebHost:
-    """Serves a web page of a mirror.
+    """Serves a web page that shows a mirror.
 
     Raises:
         RenderError: the page cannot be served at this address and port.
@@ -356,12 +360,12 @@ def _to_show(scene: Scene | Overlay | Path | str, look: Look | None) -> Scene | 
         raise UsageError(f"look: found {shown(look)}{did_you_mean(str(look), get_args(Look))}")
     if isinstance(scene, Overlay):
         if look is not None:
-            raise UsageError(f"look: found '{look}'; the look of an overlay is that of its model")
+            raise UsageError(f"look: found '{look}'; an overlay always has the look of its model")
         return scene.world
     if isinstance(scene, str | Path):
         scene = load_scene(scene, by_hand=True, trusted=True)
     elif not isinstance(scene, Scene):
-        hint = "; Scene(robots=[...]) holds robots" if isinstance(scene, SerialRobot) else ""
+        hint = "; use Scene(robots=[...])" if isinstance(scene, SerialRobot) else ""
         raise UsageError(
             f"scene: found {type(scene).__name__}; expected a Scene, an overlay, a file, or the "
             f"name of a scene, scenario or robot{hint}"

@@ -1,5 +1,5 @@
-"""The state of a view, and the base classes of tools and panels.
+"""The state of a window or page, and the base classes of tools and panels.
 
-In: a mirror and events. Out: time, histories, keys and settings of the view.
+In: a mirror and input events. Out: the displayed time, histories, keys and settings.
 Open first: `tool.py` (the base class of tools), `widgets.py` (the widgets of panels), `clock.py`.
 """

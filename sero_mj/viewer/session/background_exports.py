@@ -16,21 +16,21 @@ from ...base.child_process import ChildProcess
 log = logging.getLogger(__name__)
 
 _KINDS = {".mp4": "video", ".html": "page"}
-_GRACE = 10.0  # s; time for a terminated process to remove its unfinished file
+_GRACE = 10.0  # time that a terminated process has to remove its unfinished file, s
 
 
 class BackgroundExports:
-    """Creates pages and videos one after the other, each in a separate process."""
+    """Queue of pages and videos, which are created one by one in separate processes."""
 
     def __init__(self) -> None:
         self._waiting: deque[tuple[list[str], Path]] = deque()
         self._made: tuple[ChildProcess, list[str], Path] | None = None
 
     def add(self, words: Sequence[str], path: Path) -> int:
-        """Queues a file; returns the number of files before it in the queue. Thread-safe.
+        """Queues a file, and returns the number of files before it. Thread-safe.
 
         Args:
-            words: command and arguments of `sero-mj`, without the output file.
+            words: arguments of `sero-mj` that create the file, without `-o`.
         """
         self._waiting.append(([*words, "-o", str(path)], path))
         return len(self._waiting) - 1 + (self._made is not None)
@@ -39,7 +39,7 @@ class BackgroundExports:
         return self.add(["export", str(recording)], recording.with_suffix(".html"))
 
     def advance(self) -> tuple[str, bool] | None:
-        """Starts the next file if the current one is finished; returns a message, or None."""
+        """Starts the next file if the current one is finished, and returns a message about it."""
         message = None
         if self._made is not None and self._made[0].status:
             message = self._end()
@@ -67,9 +67,9 @@ class BackgroundExports:
         return f"{kind} {path.name} failed: {reason}", True
 
     def close(self, *, finish: bool) -> None:
-        """Cancels all files and logs the commands that create them.
+        """Cancels all unfinished files, and logs the commands that create them.
 
-        With `finish`, first waits until all files are finished or the user presses Ctrl+C.
+        If `finish` is set, first waits until all files are finished or the user presses Ctrl+C.
         """
         if finish:
             with contextlib.suppress(KeyboardInterrupt):
@@ -84,7 +84,7 @@ class BackgroundExports:
             child, words, path = self._made
             child.end()
             self._made = None
-            path.unlink(missing_ok=True)  # the unfinished file
+            path.unlink(missing_ok=True)
             left.insert(0, words)
         for words in left:
             log.warning(

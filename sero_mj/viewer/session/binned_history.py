@@ -1,4 +1,4 @@
-"""`BinnedHistory`: minima and maxima of signals in bins of 2 ms, for the last seconds."""
+"""`BinnedHistory`: the minima and maxima of recent samples in bins of 2 ms."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from ...base.frames import Array
 
 SPAN = 8.0  # duration of the plots, s
 _BIN = 0.002  # width of a bin, s
-SHOWN = round(SPAN / _BIN) + 1  # bins of a plot
+SHOWN = round(SPAN / _BIN) + 1  # number of bins of a plot
 
 
 class BinnedHistory:
-    """Stores the extremes of all samples, so that no peak is lost.
+    """History of a signal for plots. It stores extreme values in bins, so that no peak is lost.
 
     Args:
         shape: shape of a sample.
-        span: duration of the history, s.
+        span: duration of the history in seconds.
     """
 
     def __init__(self, shape: tuple[int, ...] = (), span: float = SPAN) -> None:
@@ -26,14 +26,14 @@ class BinnedHistory:
         self._times = np.full(count, np.nan)  # time of the last sample in each bin
         self._low = np.full((count, *shape), np.nan, np.float32)
         self._high = np.full((count, *shape), np.nan, np.float32)
-        self._last: int | None = None  # newest bin; bin i is in row i % count
+        self._last: int | None = None  # number of the newest bin; bin i is in row i % count
         self.newest = 0.0
 
     def restart(self) -> None:
         self._last = None
 
     def add(self, times: Array, values: Array) -> None:
-        """Adds samples (n, ...) with their times (n,), s; NaN means no data."""
+        """Adds samples, shape (n, ...), at times in seconds, shape (n,). NaN means no data."""
         bins = np.floor(times / _BIN + 1e-6).astype(np.intp)
         newest = int(bins[-1])
         if self._last is None:
@@ -54,12 +54,12 @@ class BinnedHistory:
         ends = np.append(begins[1:], len(times)) - 1
         rows = bins % self._count
         self._times[rows] = np.fmax(self._times[rows], times[ends])
-        with np.errstate(over="ignore"):  # implausible values may exceed float32
+        with np.errstate(over="ignore"):  # Implausible values may exceed float32.
             self._low[rows] = np.fmin(self._low[rows], np.fmin.reduceat(values, begins, axis=0))
             self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def forget(self, since: Array) -> None:
-        """Deletes the samples of each value after the time in `since`, s."""
+        """Deletes later samples. `since` has a time in seconds for each element of a sample."""
         with np.errstate(invalid="ignore"):
             past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
         for extremes in (self._low, self._high):
@@ -68,16 +68,16 @@ class BinnedHistory:
     def until(
         self, time: float | None, points: int = 2 * SHOWN, at: tuple[Any, ...] = ()
     ) -> tuple[Array, Array]:
-        """Returns the samples of the time span `SPAN` that ends at `time`, oldest first.
+        """Returns the samples of a plot, which covers `SPAN` seconds, oldest first.
 
         Args:
-            time: end of the span, s; None for the time of the newest sample.
-            points: approximate maximum number of samples, at least 2. Each sample is the minimum
-                or maximum of an interval.
+            time: last time of the plot in seconds; None for the time of the newest sample.
+            points: approximate maximum number of returned samples, at least 2. Each of them is the
+                minimum or maximum of an interval.
             at: index that selects a scalar or a vector of each sample.
 
         Returns:
-            times (k,), s, and values (m, k), NaN for no data.
+            times in seconds, shape (k,), and values, shape (m, k); NaN for no data.
         """
         nothing = np.zeros(0), np.zeros((self._low[(0, *at)].size, 0))
         if self._last is None:

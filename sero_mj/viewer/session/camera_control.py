@@ -13,10 +13,10 @@ from ..image.scene_decor import SceneDecor
 
 
 class CameraControl:
-    """Moves the camera, unless a photo in the background fixes it.
+    """Moves the camera of a window or page, unless a background photo fixes it.
 
     Args:
-        decor: function that returns the decor, with the view of the last frame.
+        decor: function that returns the decor of the last frame.
     """
 
     def __init__(
@@ -29,17 +29,17 @@ class CameraControl:
         self._navigator, self._data, self._decor, self._say = navigator, data, decor, say
 
     def choose(self, number: int) -> str:
-        """Selects a camera by number: 1 for the first one, 0 for the initial view."""
+        """Selects a camera by number. The first camera is 1, and the initial view is 0."""
         return self._decor().fixed or self._navigator.choose(number)
 
     def follow(self, frame: str | None) -> str:
-        """Follows a frame, or stops if `frame` is None; returns a message for the user."""
+        """Follows a coordinate frame, or stops if it is None. Returns a message for the user."""
         return self._decor().fixed or self._navigator.follow(self._data, frame)
 
     def center(self, point: Array) -> None:
-        """Sets the look-at point (3,), m."""
+        """Sets the look-at point of the camera, shape (3,), m."""
         decor = self._decor()
-        assert decor.view is not None  # the point was picked in an image
+        assert decor.view is not None  # The point was picked in an image.
         if decor.fixed:
             self._say(decor.fixed)
             return
@@ -50,9 +50,10 @@ class CameraControl:
         """Rotates, pans or zooms the camera.
 
         Args:
-            how: `orbit`, `pan` or `zoom`.
-            right: motion to the right, relative to the image height; ignored for `zoom`.
-            down: motion downward, relative to the image height; wheel notches for `zoom`.
+            how: kind of motion: `orbit`, `pan` or `zoom`.
+            right: motion of the pointer to the right, relative to the image height.
+            down: downward motion of the pointer, relative to the image height, or the number of
+                wheel notches for `zoom`.
         """
         view, navigator = self._decor().view, self._navigator
         if view is None or self._decor().fixed:

@@ -1,4 +1,4 @@
-"""`ImageWriter`: writes screenshots and videos on a thread, so that frames do not wait."""
+"""`ImageWriter`: writes screenshots and videos on a background thread."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from ...base.errors import SeroError
 from ..image.image_files import Pixels, VideoWriter, save_image
 
 FPS = 30.0
-# If more frames are queued, new frames are dropped and the next frame is repeated instead.
+# If the queue has this number of frames, new frames are dropped, and the next one is repeated.
 _MAX_WAITING = 8
-_used: set[Path] = set()  # names of files that may not exist yet
+_used: set[Path] = set()  # returned file names, whose files may not exist yet
 
 
 def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
-    """Returns an unused file name such as `lwr_2026-05-04_17-03-12.png`.
+    """Returns an unused file name, such as `lwr_2026-05-04_17-03-12.png`.
 
     No name is returned twice, because the files may be written later.
 
     Args:
-        ending: file extension with the dot.
+        ending: file extension with a leading dot.
     """
     safe = "".join(c if c.isalnum() or c in "-_" else "_" for c in scene) or "scene"
     stem = f"{safe}_{now:%Y-%m-%d_%H-%M-%S}"
@@ -36,15 +36,15 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often to add the current image, so that the video plays in real time."""
+    """Returns how often to add the current image so that the video plays in real time."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 
 class ImageWriter:
-    """Writes screenshots and videos.
+    """Writes screenshots and videos of a scene on a background thread.
 
     Attributes:
-        seconds: duration of the current video, s.
+        seconds: duration of the current video in seconds.
     """
 
     def __init__(self, scene: str, folder: Path | None = None) -> None:
@@ -70,7 +70,7 @@ class ImageWriter:
         self._pending.append((future, "screenshot", path))
 
     def start(self, size: tuple[int, int], time: float) -> str:
-        """Starts a video and returns a message for the user."""
+        """Starts a video at a time in seconds, and returns a message for the user."""
         path = unused_name(self._folder, self._scene, ".mp4", datetime.now())
         self._video, self._video_path = VideoWriter(path, *size, FPS), path
         self._size, self._begin, self._sent = size, time, 0
@@ -81,7 +81,7 @@ class ImageWriter:
         return self.is_recording and due_frames(time - self._begin, self._sent) > 0
 
     def add(self, pixels: Pixels, time: float) -> None:
-        """Adds the current image; stops the video if the size of the window has changed."""
+        """Adds the current image to the video, or stops the video if the image size has changed."""
         video = self._video
         if video is None:
             return
@@ -90,7 +90,7 @@ class ImageWriter:
             return
         self.seconds = time - self._begin
         if not self._waiting.acquire(blocking=False):
-            return  # the encoder is too slow; the next frame replaces this one
+            return  # The encoder is too slow, and the next frame replaces this one.
         count = due_frames(self.seconds, self._sent)
         self._sent += count
 
@@ -104,14 +104,14 @@ class ImageWriter:
         self._pool.submit(write)
 
     def stop(self) -> None:
-        """Stops the video; `next_message` reports when the file is written."""
+        """Stops the video. After the file is written, `next_message` returns a message."""
         video, self._video = self._video, None
         if video is not None:
             future = self._pool.submit(video.__exit__, None, None, None)
             self._pending.append((future, f"video of {self.seconds:.1f} s", self._video_path))
 
     def next_message(self) -> tuple[str, bool] | None:
-        """Returns a message about the next written file, with whether it is an error; or None."""
+        """Returns a message about a written file and whether it is an error, or None."""
         for each in self._pending:
             future, what, path = each
             if future.done():

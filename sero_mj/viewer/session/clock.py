@@ -1,4 +1,4 @@
-"""The displayed time: real time for live sources; otherwise the user controls it."""
+"""`Clock`: determines the displayed time, which is real time or controlled by the user."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from .binned_history import SPAN
 SPEEDS = (0.01, 0.02, 0.05, 0.1, 0.25, 0.5, 1.0, 2.0, 5.0, 10.0)
 _STEP = 1.0 / 60.0  # size of a single step if the sources have no time step, s
 _SIMULATION_CHUNK = 0.05  # simulated time per call, s
-# Maximum real time, s, that a frame spends on simulation, so that the window stays responsive. If
-# the rest of a frame takes longer, simulation may take as long, which halves the frame rate at
-# worst.
+# The real time in seconds that a frame spends on simulation is limited, so that the window stays
+# responsive. If the rest of a frame takes longer, simulation may take as long as the rest. This
+# halves the frame rate at worst.
 _MAX_WAIT = 0.03
-_SAMPLE_INTERVAL = 0.004  # s between samples; shows spikes of 5 ms at real-time speed
+_SAMPLE_INTERVAL = 0.004  # s; at real-time speed, this shows spikes of 5 ms
 _MAX_SAMPLES = 20  # maximum number of samples per frame
-_JUMP_THRESHOLD = 0.5  # s; an advance by more than this is a jump
+_JUMP_THRESHOLD = 0.5  # maximum advance of the time that is not a jump, s
 _PAST_SAMPLES = 120  # number of samples that refill the plots after a jump
 _SMOOTHING = 0.1  # weight of the last frame in `real_speed`
-_MAX_FRAME = 0.5  # s; longer frames, for example after a suspend, are shortened to this
+_MAX_FRAME = 0.5  # maximum time of a frame, s; frames after a suspend are longer
 
-HISTORY_SPAN = 60.0  # s of live data that can be replayed
+HISTORY_SPAN = 60.0  # duration of live data that can be replayed, s
 _STATE_RATE = 30.0  # number of stored states per second
-_MAX_STATE_BYTES = 64e6  # size of all stored states; large worlds store fewer states per second
+_MAX_STATE_BYTES = 64e6  # maximum size of all stored states, which limits the rate of large worlds
 _STATE = mujoco.mjtState.mjSTATE_INTEGRATION
 
 
@@ -38,9 +38,9 @@ class Tick(NamedTuple):
     """An event on the timeline.
 
     Attributes:
-        time: time of the event, s.
+        time: time of the event in seconds.
         text: description of the event.
-        is_mark: whether the event is a mark set by the user; otherwise it is a fault.
+        is_mark: True for a mark set by the user, False for a fault.
     """
 
     time: float
@@ -49,25 +49,26 @@ class Tick(NamedTuple):
 
 
 class Clock:
-    """Determines the time that a mirror shows, frame by frame.
+    """Determines the time that a mirror shows in each frame.
 
-    Live sources run in real time. They can be paused, and the last minute can be replayed while
-    packets are still received.
+    Live sources run in real time. The display can be paused, and the last minute can be replayed
+    while packets are still received.
 
     Attributes:
         is_live: whether a source follows real time.
-        is_past: whether the past of live sources is shown.
-        is_playing: whether there are sources; otherwise the user sets all inputs.
-        speed: ratio of displayed time to real time.
-        begin: start of the timeline, s.
-        end: end of the timeline, s; None if a source has no end. For live sources and simulations
-            without an end, the newest time.
-        step_size: size of a single step, s.
+        is_past: whether a past state of live sources is shown.
+        is_playing: whether there are sources. If there are none, the user sets all inputs.
+        speed: selected ratio of displayed time to real time.
+        time: displayed time in seconds.
+        begin: start of the timeline in seconds.
+        end: end of the timeline in seconds. For live sources and simulations without an end, this
+            is the newest time. None if a recording has no known end.
+        step_size: size of a single step in seconds.
         on_state: function that is called for each new state of the mirror. While a function is
             set, recordings and simulations advance in fine steps even at a low frame rate, so that
-            plots miss little. A function that is set later is first called for past times, as
-            after a jump.
-        real_speed: actual speed in the last frames; a simulation may be slower than `speed`.
+            plots miss little. A new function is first called for past times, as after a jump.
+        real_speed: actual ratio of displayed time to real time in the last frames. A simulation
+            may be slower than `speed`.
     """
 
     def __init__(self, mirror: LiveWorld) -> None:
@@ -91,8 +92,8 @@ class Clock:
         self._move_timeline()
         steps = [source.step for source in sources if source.step is not None]
         self.step_size = min(steps, default=_STEP)
-        self._shown: float | None = None  # time of the mirror
-        self._is_reported = True  # whether `on_state` was called for that time
+        self._shown: float | None = None  # time that the mirror shows
+        self._is_reported = True  # whether `on_state` was called for this time
         self._simulated = 0.0  # time up to which the simulation has run
         self._simulates = bool(steps)
         self._passed = self._simulating = (
@@ -124,7 +125,7 @@ class Clock:
         return not self.is_live or self._history is not None
 
     def advance(self, passed: float) -> bool:
-        """Advances by a real time, s, and updates the mirror; returns whether the state changed."""
+        """Advances by a real time in seconds. Returns whether the displayed state has changed."""
         if self.is_live:
             return self._follow(passed)
         if self.is_paused or self.is_at_end:
@@ -134,10 +135,8 @@ class Clock:
         self._passed = min(passed, _MAX_FRAME)
         self.time += self.speed * self._passed
         if self._has_end and self.end is not None and self.time >= self.end:
-            self.time, before = (
-                self.end,
-                self.end - self.speed * passed,
-            )  # the end, not the speed, limits this frame
+            # The end limits this frame, so `real_speed` must not decrease.
+            self.time, before = self.end, self.end - self.speed * passed
         changed = self._show()
         self._move_timeline()
         self._stop_at_failure()
@@ -154,7 +153,7 @@ class Clock:
         if self.is_past:
             history.put_back()
         elif self.is_paused and self.end:
-            history.store()  # the last displayed state, while paused
+            history.store()  # This is the displayed state, which must remain available.
         self._mirror.advance()
         if self.on_state is not None:
             self.on_state()
@@ -164,7 +163,7 @@ class Clock:
             self.time += self.speed * min(passed, _MAX_FRAME)
             self.is_past = self.time < self.end
         elif self.is_paused and not self.is_past:
-            self.is_past = True  # at the last displayed time
+            self.is_past = True
         if not self.is_past:
             self.time, self.speed = self.end, 1.0
             return True
@@ -208,7 +207,7 @@ class Clock:
         if self.on_state is None:
             return [goal]
         passed = goal - (goal if self._shown is None else self._shown)
-        if jumps or passed < 0 or passed > _JUMP_THRESHOLD:  # for the plots
+        if jumps or passed < 0 or passed > _JUMP_THRESHOLD:  # The plots must be refilled.
             begin = max(goal - SPAN, 0.0)
             return np.linspace(begin, goal, _PAST_SAMPLES).tolist() if goal else [goal]
         if not passed:
@@ -267,7 +266,7 @@ class Clock:
             is_paused = self.is_paused
             self.go_live()
             self._mirror.reset()
-            # Immediately, even if paused: the declared pose is not the robot's.
+            # Even a paused view must not show the declared pose instead of the robot's pose.
             self._follow(0.0)
             self.is_paused = is_paused
             return "reset to the declared pose; the latest packets are applied"
@@ -275,10 +274,10 @@ class Clock:
         return "back to the start"
 
     def seek(self, time: float) -> None:
-        """Continues from a time, s, limited to the timeline.
+        """Jumps to a time in seconds, which is limited to the timeline.
 
-        For live sources, seeking to the newest time shows live data. Without a history, seeking has
-        no effect.
+        For live sources, seeking to the newest time shows live data. If live sources have no
+        history, seeking has no effect.
         """
         if self.is_live and (self._history is None or self.end is None):
             return
@@ -297,7 +296,7 @@ class Clock:
 
 
 def time_text(time: float) -> str:
-    """Returns a time as text: `3.42 s`, or `12:03.4` from one minute on."""
+    """Formats a time in seconds as `3.42 s`, or as `12:03.4` from one minute."""
     if time < 60:
         return f"{time:.2f} s"
     minutes, seconds = divmod(time, 60)
@@ -310,7 +309,7 @@ def time_text(time: float) -> str:
 class LiveHistory:
     """Stores the newest state of a live mirror, and about 30 states per second of the last minute.
 
-    While the mirror shows a past state, call `put_back` before the mirror advances.
+    If the mirror shows a past state, call `put_back` before the mirror advances.
     """
 
     def __init__(self, mirror: LiveWorld, span: float = HISTORY_SPAN) -> None:
@@ -349,9 +348,9 @@ class LiveHistory:
         mujoco.mj_setState(self._model, self._data, self._newest, _STATE)
 
     def show(self, time: float) -> None:
-        """Restores the last state before a time, s, or the oldest state."""
+        """Restores the last state up to a time in seconds, or the oldest state."""
         count = len(self._times)
-        order = (self._row + 1 + np.arange(count)) % count  # the oldest first
+        order = (self._row + 1 + np.arange(count)) % count  # oldest state first
         order = order[np.isfinite(self._times[order])]
         if not len(order):
             return

@@ -7,24 +7,28 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 LEFT, RIGHT, MIDDLE = 0, 1, 2
-DOUBLE_CLICK_TIME = 0.35  # maximum time between the two presses, s
-DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between the two presses, pixels
+DOUBLE_CLICK_TIME = 0.35  # maximum time between the presses of a double click, s
+DOUBLE_CLICK_DISTANCE = 8.0  # maximum distance between the presses of a double click, pixels
 _MAX_CLICK_MOTION = 4.0  # maximum distance between press and release of a click, pixels
 
 
 @dataclass(frozen=True)
 class Event:
-    """A mouse or key event.
+    """A mouse event, a key event or a dropped file.
 
     Attributes:
-        kind: kind of the event; `drop` is a dropped file.
-        x: distance from the left edge of the framebuffer, pixels; for `scroll`, wheel steps to the
-            right.
-        y: distance from the lower edge of the framebuffer, pixels; for `scroll`, wheel steps away
-            from the user.
-        time: time on the clock of `time.monotonic`, s.
-        key: a lowercase character, a name such as `f1`, `left`, `escape`, or the path of a `drop`.
+        kind: kind of the event; `drop` for a dropped file.
+        x: distance from the left edge of the framebuffer in pixels. For `scroll`, the number of
+            wheel steps to the right.
+        y: distance from the lower edge of the framebuffer in pixels. For `scroll`, the number of
+            wheel steps away from the user.
+        time: time of the event on the clock of `time.monotonic` in seconds.
+        button: mouse button: `LEFT`, `RIGHT` or `MIDDLE`.
+        key: key as a lowercase character or a name such as `f1`, `left` or `escape`. For `drop`,
+            the path of the file.
         shift: whether Shift or Control was held.
+        control: whether Control was held.
+        is_repeat: whether the key event repeats because the key is held.
     """
 
     kind: Literal["press", "release", "move", "scroll", "key", "drop"]
@@ -40,13 +44,14 @@ class Event:
 
 @dataclass(frozen=True)
 class Moved:
-    """A drag of the pointer, or a rotation of the wheel.
+    """A drag of the pointer, or a rotation of the mouse wheel.
 
     Attributes:
-        right: motion to the right, pixels.
-        down: motion downward, pixels; wheel steps for `zoom`.
-        pulls_from: pixel where the left button was pressed with Control to pull a link, or None.
-        pressed: pixel where the left button was pressed; None for other buttons.
+        how: effect on the camera.
+        right: motion to the right in pixels.
+        down: downward motion in pixels, or the number of wheel steps for `zoom`.
+        pulls_from: pixel at which the left button was pressed with Control to pull a link, or None.
+        pressed: pixel at which the left button was pressed; None for other buttons.
     """
 
     how: Literal["orbit", "pan", "zoom"]
@@ -58,7 +63,7 @@ class Moved:
 
 @dataclass(frozen=True)
 class Clicked:
-    """A click: a button was pressed and released at the same position.
+    """A mouse click. The time is that of the press on the clock of `time.monotonic` in seconds.
 
     Attributes:
         center: whether the click centers the view at the clicked point.
@@ -75,7 +80,7 @@ class Mouse:
     """Interprets mouse events as drags and clicks.
 
     Attributes:
-        position: pixel of the pointer; None before its first event.
+        position: position of the pointer in pixels; None before the first mouse event.
     """
 
     def __init__(self) -> None:
@@ -89,10 +94,10 @@ class Mouse:
         return self._pressed is not None
 
     def hold(self, pulls: Callable[[tuple[float, float]], bool]) -> bool:
-        """Treats a press without motion as a press with Control, for touch screens.
+        """Treats a long press without motion as a press with Control, for touch screens.
 
         Args:
-            pulls: function that returns whether something can be pulled at a pixel.
+            pulls: function that returns whether an item can be pulled at a pixel.
         """
         press = self._pressed
         if press is None or self._is_drag or not pulls((press.x, press.y)):
@@ -123,7 +128,7 @@ class Mouse:
             self._is_drag = _apart(press, event) > _MAX_CLICK_MOTION
             if not self._is_drag:
                 return None
-            before = (press.x, press.y)  # includes the movement before the drag was recognized
+            before = (press.x, press.y)  # includes the motion before the drag was detected
         right, down = event.x - before[0], before[1] - event.y
         if press.button == MIDDLE:
             return Moved("pan", right, down)

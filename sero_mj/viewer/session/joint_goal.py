@@ -1,4 +1,4 @@
-"""`JointGoal`: joint angles that a user requests for a robot. Also formats joint angles as text."""
+"""`JointGoal`: the joint angles that a user requests for a robot. Also formats angles as text."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from ...robots.declared.inverse_kinematics import (
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 
-_FAR = 0.005  # m; larger distances from the requested pose are reported
-_ROTATED = np.deg2rad(2.0)  # rad; larger angles from the requested pose are reported
-_PER_DRAG = 12  # iterations per move of the pointer; the next move continues
+_FAR = 0.005  # distance from the requested pose above which an error is shown, m
+_ROTATED = np.deg2rad(2.0)  # angle from the requested pose above which an error is shown, rad
+_PER_DRAG = 12  # number of iterations per pointer event; the next event continues
 _NO_NUMBER = "expected a finite number; the robot does not move"
 
 
 class JointGoal:
-    """Requested joint angles of a robot, set by joint, by flange pose, or by a point of a link.
+    """Joint angles that a user requests for a robot, a flange pose, or a point of a link.
 
-    Angles stay within the position limits. If a request cannot be fulfilled, the nearest pose is
-    used, and `trouble` explains why.
+    Angles stay within the position limits. If a requested pose cannot be reached, the nearest one
+    is used, and `trouble` explains why.
 
     Attributes:
-        trouble: reason why the last request is not fulfilled, or an empty string.
+        trouble: reason why the requested pose is not reached, or an empty string.
         mark: requested and reached position of a frame, shape (2, 3), m; None if they coincide.
-        is_led: whether a program sets the angles. The user then cannot set them.
+        is_led: whether a program sets the angles. If so, the user cannot set them.
     """
 
     def __init__(self, robot: SerialRobot, angles: Array) -> None:
@@ -51,7 +51,7 @@ class JointGoal:
         return self._coupled.positions(self._free)
 
     def range_of(self, joint: int) -> tuple[float, float]:
-        """Returns the lower and upper end of a joint's slider, rad or m."""
+        """Returns the minimum and maximum of a joint's slider in rad or m."""
         low, high = self._ranges[joint].tolist()
         return low, high
 
@@ -88,19 +88,19 @@ class JointGoal:
         return f"{name} is at its limit of {value:.4g} {'deg' if is_angle else 'm'}"
 
     def hold_posture(self) -> None:
-        """Makes redundant robots prefer the current angles during the drag that starts now."""
+        """Makes redundant robots prefer the current joint angles during the next drag."""
         self._posture = self._free.copy()
 
     def flange(self, base: Array) -> Array:
-        """Returns T_world_flange (4, 4) at the requested angles."""
+        """Returns T_world_flange, shape (4, 4), at the requested angles. `base` is T_world_base."""
         return np.asarray(base @ self.robot.fwd_kin_base_to_flange(self.angles))
 
     def move_flange(self, base: Array, pose: Array, *, at_once: bool = False) -> None:
-        """Moves the flange to a pose (4, 4), or as close as possible.
+        """Moves the flange to a pose, shape (4, 4), or as close to it as possible.
 
         Args:
-            base: T_world_base (4, 4).
-            at_once: whether the pose was typed. A typed pose that cannot be reached is rejected.
+            base: T_world_base, shape (4, 4).
+            at_once: whether the user has typed the pose. If so, a pose out of reach is rejected.
         """
         if not np.isfinite(pose).all():
             self.trouble = _NO_NUMBER
@@ -121,13 +121,13 @@ class JointGoal:
         self._take(found, pose[:3, 3], place(found.angles)[0][:3, 3])
 
     def move_point(self, base: Array, link: int, point: Array, wanted: Array) -> None:
-        """Moves a point of a link to a position in the world, or as close as possible.
+        """Moves a point of a link to a position in the world, or as close to it as possible.
 
         Args:
-            base: T_world_base (4, 4).
+            base: T_world_base, shape (4, 4).
             link: index of the link, from 0 for the base to n.
-            point: position in the frame of the link, (3,), m.
-            wanted: position in the world, (3,), m.
+            point: position of the point in the frame of the link, shape (3,), m.
+            wanted: requested position in the world, shape (3,), m.
         """
         place = frame_place(self.robot, base, link, frame(np.eye(3), point))
         goal = frame(np.eye(3), wanted)
@@ -155,7 +155,8 @@ class JointGoal:
             left += f" and {np.rad2deg(found.angle):.0f} deg"
         joints = np.flatnonzero(found.at_limit)
         why = ", ".join(self._limit_text(int(i), found.angles) for i in joints[:3])
-        self.trouble = f"not reached, {left} away: {why or 'out of reach, or at a singularity'}"
+        why = why or "it is out of reach or at a singularity"
+        self.trouble = f"the pose is not reached ({left} away): {why}"
         self.mark = np.array([wanted, there])
 
     def let_go(self) -> None:
@@ -163,33 +164,33 @@ class JointGoal:
 
 
 def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
-    """Sets the angles of goals from bytes of float64, if the angles have changed."""
+    """Sets the joint angles of goals from pairs of a robot name and bytes of float64."""
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))
 
 
-_DIGITS = 6  # decimals of angles in rad and positions in m
+_DIGITS = 6  # number of decimals of angles in rad and positions in m
 
 
 def as_toml(robot: str, angles: Array) -> str:
-    """Returns a TOML table for a scene, such as `[robots.lwr]`, with `joint_angles`, rad or m."""
+    """Formats the joint angles of a robot as a TOML table for a scene, such as `[robots.lwr]`."""
     return f"[robots.{robot}]\njoint_angles = [{_listed(angles)}]  # rad or m\n"
 
 
 def as_python(robot: str, angles: Array) -> str:
-    """Returns a Python statement that sets the angles in a loop with `sero_mj.view`, rad or m."""
+    """Formats joint angles as a Python statement that sets them in a `sero_mj.Viewer`."""
     return f'viewer.robot("{robot}").joint_angles = [{_listed(angles)}]\n'
 
 
 def as_command(scene: Scene, robot: str, angles: Array) -> str:
-    """Returns the command that shows the scene with the robot at these angles."""
+    """Returns the command line that shows a scene with the given joint angles of a robot."""
     text = setting(robot, angles)
     return f"sero-mj view {shlex.quote(scene.argument)} --set {text}\n"
 
 
 def setting(robot: str, values: Array, field: str = "joint_angles") -> str:
-    """Returns the value of `--set` for a robot's field that has one number per joint."""
+    """Formats one number per joint as a value of the option `--set`: `lwr.joint_angles=0,1,2`."""
     return f"{robot}.{field}={_listed(values, ',')}"
 
 

@@ -1,4 +1,4 @@
-"""Keys and mouse gestures of windows and pages, and the help about them."""
+"""Keys and mouse gestures of windows and pages, and the text of the help."""
 
 from __future__ import annotations
 
@@ -9,9 +9,10 @@ from ..image.clicks import CLICKS, KEYS, Gesture
 
 
 class Key(NamedTuple):
-    """The action of a key.
+    """The action of a key, and its description in the help.
 
     Attributes:
+        action: name of the action.
         text: text in the help, or an empty string to omit the key.
         repeats: whether the action is repeated while the key is held.
     """
@@ -21,7 +22,7 @@ class Key(NamedTuple):
     repeats: bool = False
 
 
-# Keys for camera, clock and window.
+# The help lists these keys for the camera, the clock and the window.
 VIEWER_KEYS: dict[str, Key] = {
     " ": Key("pause", "pause or continue"),
     ".": Key("step", "single step forward", repeats=True),
@@ -40,9 +41,9 @@ VIEWER_KEYS: dict[str, Key] = {
     "f11": Key("full_screen", "full screen"),
     "h": Key("help", "this help"),
 }
-# Keys that are left to the browser.
+# Pages leave these keys to the browser.
 _OF_BROWSER = ("tab", "f11")
-# Alternative keys, which the help does not list.
+# The help does not list these alternative keys.
 MORE_KEYS: dict[str, Key] = {
     "?": Key("help"),
     "f1": Key("help"),
@@ -52,7 +53,7 @@ MORE_KEYS: dict[str, Key] = {
     "home": Key("reset"),
     **{str(number): Key(f"camera_{number}") for number in range(1, 10)},
 }
-# Effects of the mouse on the camera.
+# The help lists these effects of the mouse.
 VIEWER_MOUSE: dict[str, str] = {
     "drag": "rotate the view",
     "drag a handle": "move or rotate the target of a robot",
@@ -89,7 +90,7 @@ _KINDS = {
 
 
 def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[list[Row]]:
-    """Returns the columns of the help. A row has an input and its effect, or is a heading."""
+    """Returns the columns of the help. A row is a key or gesture with its effect, or a heading."""
     keys = {**VIEWER_KEYS, **{key: entry for key, entry in of_tools.items() if entry.text}}
     if on_page:
         keys = {key: entry for key, entry in keys.items() if key not in _OF_BROWSER}

@@ -1,4 +1,4 @@
-"""Stores recent views with an image each, and the saved view of each scene."""
+"""Stores the list of recent views, their preview images, and the saved view of each scene."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ IMAGE_SIZE = (480, 300)  # pixels
 
 
 class RecentView(NamedTuple):
-    """A recent view.
+    """A scene or recording that the user has opened.
 
     Attributes:
         scene: name of an included scene, or absolute path of a file.
@@ -51,12 +51,12 @@ class RecentView(NamedTuple):
 
 
 def recent_views() -> list[RecentView]:
-    """Returns the recent views whose files still exist, latest first."""
+    """Returns the recent views whose files still exist, with the latest one first."""
     return [view for view in _read() if view.is_there]
 
 
 def remember_view(view: RecentView, pixels: Pixels | None) -> None:
-    """Saves a view as the most recent view."""
+    """Saves a view as the most recent one, with a preview image if `pixels` is not None."""
     before = [each for each in _read() if each != view]
     views = [view, *before[: MAX_VIEWS - 1]]
     if pixels is not None:
@@ -69,7 +69,7 @@ def remember_view(view: RecentView, pixels: Pixels | None) -> None:
 
 
 def cut_to(image: Image.Image, size: tuple[int, int]) -> Image.Image:
-    """Crops an image to the aspect ratio of a size in pixels, and scales it to the size."""
+    """Scales an image to a size in pixels, and crops its sides if the aspect ratio differs."""
     scale = max(size[0] / image.width, size[1] / image.height)
     wide, high = size[0] / scale, size[1] / scale
     left, top = (image.width - wide) / 2, (image.height - high) / 2
@@ -95,7 +95,7 @@ _MAX_BYTES = 1_000_000  # maximum size of a saved view
 
 
 def file_of(scene: Scene) -> Path:
-    """Returns the file of a scene's view, named after the scene's file or name and its robots."""
+    """Returns the path of a scene's saved view, which depends on its file or name and robots."""
     name = scene.name if scene.file is None else str(scene.file.resolve())
     name = "\n".join([name, *scene.robots, *scene.doubles])
     digest = hashlib.sha256(name.encode()).hexdigest()[:16]
@@ -104,12 +104,12 @@ def file_of(scene: Scene) -> Path:
 
 
 def state_folder() -> Path:
-    """Returns the directory in which the state of the user is saved."""
+    """Returns the directory for recent and saved views of the user."""
     return user_state_path("sero-mj", appauthor=False)
 
 
 def write_state(path: Path, data: bytes) -> None:
-    """Writes a file in the state directory atomically; logs failures."""
+    """Writes a file in the state directory atomically, and logs a failure."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         part = path.with_suffix(f".{os.getpid()}")
@@ -122,7 +122,7 @@ def write_state(path: Path, data: bytes) -> None:
 def save_view(
     scene: Scene, state: ViewState, layout: Mapping[str, bool], tools: Mapping[str, Any]
 ) -> None:
-    """Saves a view for the next start; logs failures.
+    """Saves a view for the next start of the scene, and logs a failure.
 
     If the file would be too long, the states of tools are omitted.
     """
@@ -135,7 +135,7 @@ def save_view(
 
 
 def load_view(scene: Scene) -> tuple[ViewState, dict[str, bool], dict[str, Any]] | None:
-    """Returns the saved view, the layout and the states of tools, or None.
+    """Returns a scene's saved view, layout and states of tools, or None if there is none.
 
     Raises:
         UsageError: the file has invalid contents.

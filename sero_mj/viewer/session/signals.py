@@ -1,4 +1,4 @@
-"""`PlotSignals`: signals that can be plotted over time, with histories.
+"""`PlotSignals`: the signals that can be plotted over time, and their histories.
 
 A signal is a value of a displayed joint, a number in the packets of a source, a column in the log
 of a recording or run, or a value that a program plots.
@@ -23,14 +23,14 @@ from .binned_history import SPAN, BinnedHistory
 from .clock import HISTORY_SPAN
 from .torque_history import ROWS, TorqueHistory
 
-PROGRAM = "program"  # group of the signals that a program plots
+PROGRAM = "program"  # name of the group of signals that a program plots
 _SPAN = SPAN + HISTORY_SPAN  # duration of the histories, s
-_MAX_DELAY = 0.1  # s; maximum delay of the displayed time by slow frames
-_MIN_JUMP = 1.0  # s; a larger jump back in time clears the history of a program's signal
+_MAX_DELAY = 0.1  # maximum delay of the displayed time by slow frames, s
+_MIN_JUMP = 1.0  # minimum jump back in time that clears the history of a program's signal, s
 
 
 class PlotSignal(NamedTuple):
-    """The identity of a signal.
+    """The identity of a signal that can be plotted.
 
     Attributes:
         group: name of a robot, double or source, or `PROGRAM`.
@@ -42,10 +42,11 @@ class PlotSignal(NamedTuple):
 
 
 class PlotSignals:
-    """The signals of a view.
+    """The signals of a window or page, and their histories.
 
     Args:
-        torques: torque history of the view's joints.
+        mirror: mirror whose signals can be plotted.
+        torques: torque history of the mirror's joints.
     """
 
     def __init__(self, mirror: LiveWorld, torques: TorqueHistory) -> None:
@@ -66,7 +67,7 @@ class PlotSignals:
         return found
 
     def may_have(self, signal: PlotSignal) -> bool:
-        """Returns whether the signal exists, or a program may still plot it."""
+        """Returns whether a signal exists or a program may still add it."""
         return signal.group == PROGRAM or signal in self._joints or signal in self._numbers
 
     def follow(self, wanted: Collection[PlotSignal]) -> bool:
@@ -75,7 +76,7 @@ class PlotSignals:
         Histories of torques and of a program's signals are always stored.
 
         Returns:
-            whether there are new signals, for which `watch` should be called for past times.
+            whether there are new signals. If so, `watch` should be called for past times.
         """
         known = {*wanted} & {*self._joints, *self._numbers}
         new = {each for each in known - {*self._followed} if not self._has_torque(each)}
@@ -123,10 +124,11 @@ class PlotSignals:
         """Adds samples of a program's signals.
 
         Args:
-            samples: mapping from names to samples (n, 2): times of `time.monotonic`, s, and values.
+            samples: mapping from signal names to samples, shape (n, 2). A row has the time of
+                `time.monotonic` in seconds and the value.
 
         Returns:
-            the signals that are new.
+            signals that did not exist before.
         """
         new = []
         for name, rows in samples.items():
@@ -141,10 +143,10 @@ class PlotSignals:
         return new
 
     def of(self, signal: PlotSignal, until: float, points: int) -> tuple[Array, Array]:
-        """Returns the samples of a signal in the time span `SPAN`, oldest first.
+        """Returns the samples of a signal for a plot that ends at `until`, with the oldest first.
 
         Returns:
-            times (k,), s, relative to `until`, and values (k,), NaN for no data.
+            times in seconds relative to `until` and values, both of shape (k,); NaN for no data.
         """
         if self._has_torque(signal):
             joint, key = self._joints[signal]

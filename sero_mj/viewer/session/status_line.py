@@ -1,4 +1,4 @@
-"""Text of the status line (sources, time and frame rate), and messages to the user."""
+"""The text of the status line (sources, time and frame rate), and messages to the user."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Piece = tuple[str, Mood]
 
 
 class Message(NamedTuple):
-    """A message to the user, shown until a time of `time.monotonic`, s."""
+    """A message to the user, which is shown up to a time `until` of `time.monotonic` in seconds."""
 
     text: str = ""
     is_bad: bool = False
@@ -32,12 +32,12 @@ class Message(NamedTuple):
 
 
 _MIN_OFFSET = 0.1  # s; smaller clock offsets may be network delays
-_MIN_LOSS = 0.0005  # below this fraction, the number of lost packets is shown instead
-_SLOW = 0.85  # below this fraction of the selected speed, the actual speed is shown
+_MIN_LOSS = 0.0005  # fraction of lost packets below which their number is shown instead
+_SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """Returns a short description of a source, and the mood of the text."""
+    """Returns the status text for the `report` of a source, and the mood of the text."""
     name = found["source"]
     if not is_live:
         return str(found["about"]), "plain"
@@ -66,7 +66,7 @@ def _loss(found: dict[str, Any]) -> str:
 
 
 def clock_text(clock: Clock) -> Piece:
-    """Returns the displayed time, the speed and the state of the clock, with the mood."""
+    """Returns the displayed time, speed and state of a clock as text, and the mood of the text."""
     if clock.is_live:
         ago = (clock.end or 0.0) - clock.time
         when = f"{time_text(ago)} ago" if clock.is_past else ""
@@ -88,7 +88,7 @@ def clock_text(clock: Clock) -> Piece:
 
 
 def status_pieces(sources: Iterable[Source], clock: Clock, frame_rate: float) -> list[Piece]:
-    """Returns all parts of the status line, the most important first."""
+    """Returns all parts of the status line, with the most important part first."""
     pieces = [clock_text(clock)]
     for source in sources:
         if error := error_text(source):

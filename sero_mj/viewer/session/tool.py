@@ -1,6 +1,7 @@
-"""`Tool`: a user interaction with the displayed world, by pointer, keys and panel.
+"""`Tool`: base class of tools, with which users act on the displayed world.
 
-Each tool is one file with an entry point. A package adds a tool in pyproject.toml:
+A tool can have keys, a section in the panel, and actions of the pointer. Each tool is one file with
+an entry point. A package adds a tool in pyproject.toml:
 
     [project.entry-points."sero_mj.tools"]
     measure = "my_package:Measure"
@@ -39,10 +40,10 @@ from .widgets import Widgets
 
 log = logging.getLogger(__name__)
 
-Action = Callable[[], str | None]  # returns a message for the user
+Action = Callable[[], str | None]  # function that returns a message for the user, or None
 Found = TypeVar("Found")
 
-# Old names of methods, supported for one version.
+# Old names of methods are supported for one version.
 _RENAMED = {
     "hear": "receive",
     "answer": "reply",
@@ -56,15 +57,16 @@ _RENAMED = {
 
 
 class Shown(Protocol):
-    """The window or page in which a tool works.
+    """The interface of windows and pages for tools.
 
     Attributes:
-        data: state of the mirror; frames are up to date when `draw` and the pointer's methods
-            are called.
-        clock: pause, speed and timeline.
-        decor: decor of the last frame, with the items at pixels and the camera's view.
+        data: displayed state. Frames are up to date when `draw` and methods for the pointer are
+            called.
+        clock: clock with pause, speed and timeline.
+        decor: decor of the last frame, which finds items at pixels and has the camera's view.
+        folder: directory for saved files; None for the current directory.
         joint: index of the selected joint in the world.
-        is_window: whether this is a window, not a page.
+        is_window: True for a window, False for a page.
     """
 
     mirror: LiveWorld
@@ -100,11 +102,11 @@ class Shown(Protocol):
 
 
 class Grab(NamedTuple):
-    """The start of a drag.
+    """Answer of a tool to the start of a drag.
 
     Attributes:
         text: message for the user.
-        is_refused: whether nothing can be dragged, and the text explains why.
+        is_refused: whether nothing can be dragged. If so, `text` explains why.
     """
 
     text: str
@@ -112,14 +114,14 @@ class Grab(NamedTuple):
 
 
 class PointerEvents:
-    """The pointer events of a tool. Pixels refer to the image, with y up."""
+    """Methods for the pointer events of a tool. The pixel (0, 0) is the lower left corner."""
 
     def click(self, picked: Picked | None, at: Pixel) -> str | None:
-        """Handles a click; returns a message for the user, or None to pass the click on."""
+        """Called when the user clicks. Returns a message, or None to pass the click on."""
         return None
 
     def hover(self, at: Pixel | None) -> bool:
-        """Called in every frame; returns whether a drag from this pixel would grab a handle.
+        """Called in every frame. Returns whether a drag from this pixel would grab a handle.
 
         Args:
             at: pixel of the pointer; None outside the image or during a drag.
@@ -127,50 +129,50 @@ class PointerEvents:
         return False
 
     def grab_handle(self, at: Pixel) -> Grab | None:
-        """Starts to drag a handle; returns None if this tool has none at the pixel."""
+        """Starts to drag a handle. Returns None if this tool has no handle at the pixel."""
         return None
 
     def grab(self, at: Pixel) -> Grab | None:
-        """Starts a drag with Ctrl; returns None if this tool has nothing to drag at the pixel."""
+        """Starts a drag with Ctrl. Returns None if this tool drags nothing at the pixel."""
         return None
 
     def announce(self, at: Pixel) -> Grab | None:
-        """Describes what `grab` would do at the pixel."""
+        """Returns the result that `grab` would have at the pixel, without starting a drag."""
         return None
 
     def move(self, at: Pixel) -> None:
         """Called when the pointer moves during a drag."""
 
     def drag(self) -> str:
-        """Applies the drag, in every frame; returns what prevents it, or an empty string."""
+        """Called in every frame during a drag. Returns an error message or an empty string."""
         return ""
 
     def release(self) -> None:
         """Called when the drag ends."""
 
     def wheel(self, notches: float) -> str | None:
-        """Handles the wheel during a drag; returns a message, or None if the camera should zoom."""
+        """Called for the wheel during a drag. Returns a message, or None to zoom the camera."""
         return None
 
 
 class ToolState:
-    """The state of a tool that undo, the next start, or a copied command restores."""
+    """Methods that save and restore the state of a tool."""
 
     @property
     def state(self) -> Any:
-        """State that undo restores; states are compared with `==`."""
+        """State that undo restores. States are compared with `==`."""
         return ()
 
     def restore(self, state: Any) -> None:
-        """Restores an earlier `state`."""
+        """Restores an earlier value of the property `state`."""
 
     @property
     def saved_state(self) -> Any:
-        """State that the next start of the scene restores, as JSON data, or None."""
+        """JSON data that the next start of the scene restores, or None."""
         return None
 
     def restore_saved(self, state: Any) -> None:
-        """Restores a `saved_state`; raises TypeError, ValueError or LookupError to reject it."""
+        """Restores a `saved_state`. Raises TypeError, ValueError or LookupError to reject it."""
 
     def render_words(self) -> list[str]:
         """Returns the arguments of `sero-mj render` that reproduce the tool's changes."""
@@ -181,10 +183,13 @@ class Tool(PointerEvents, ToolState):
     """Base class of tools. Override the methods of the events that the tool handles.
 
     Attributes:
-        order: position in the panel from top to bottom, and priority for drags and keys. Tools of
-            sero-mj have the numbers 5 to 90.
-        keys: mapping from keys to actions: a `Key`, or the name of the action and a help text.
-        area: title of the area beside the image, or an empty string for no area.
+        shown: window or page of the tool.
+        order: number that determines the position in the panel from top to bottom, and the priority
+            for drags and keys. Tools of sero-mj have numbers from 5 to 90.
+        keys: mapping from keys to actions. A value is a `Key`, or the name of an action and a help
+            text.
+        area: title of the tool's area beside the image, or an empty string for no area.
+        shows_area: whether the area is visible.
     """
 
     order: ClassVar[int] = 100
@@ -200,88 +205,88 @@ class Tool(PointerEvents, ToolState):
         accept_old_names(cls, _RENAMED)
 
     def actions(self) -> Mapping[str, Action]:
-        """Returns the actions of keys and menus, by the names in `keys`."""
+        """Returns a mapping from names of actions, as in `keys`, to functions."""
         return {}
 
     @property
     def active(self) -> Collection[str]:
-        """Names of the actions that are currently on; menus mark these actions."""
+        """Names of the actions that are currently on. Menus mark these actions."""
         return ()
 
     def help_rows(self) -> Sequence[Row]:
-        """Returns the rows of a column in the help: input and effect; headings have no effect."""
+        """Returns rows of the help, each with a key or gesture and its effect, or a heading."""
         return ()
 
     # ---- frames
 
     def advance(self, passed: float) -> None:
-        """Called before the world advances; `passed` is the real time since the last frame, s."""
+        """Called before the world advances, `passed` seconds after the last frame."""
 
     def watch(self) -> None:
-        """Called for each new state of a live source, a recording or a simulation."""
+        """Called for each new displayed state of live sources, recordings or simulations."""
 
     @property
     def needs_every_state(self) -> bool:
-        """Returns whether `watch` also needs states of recordings or simulations between frames."""
+        """Whether `watch` also needs the states of recordings and simulations between frames."""
         return False
 
     def lay_out(self, frame: Frame) -> None:
-        """Adds panels to a frame, see `decor.feature.Feature`."""
+        """Adds text panels to a frame, see `decor.feature.Feature`."""
 
     def draw(self, frame: Frame) -> None:
         """Adds geoms to a frame, see `decor.feature.Feature`."""
 
     def build(self, ui: Widgets) -> None:
-        """Builds the section of this tool in the side panel, in every frame."""
+        """Called in every frame. Builds the section of this tool in the side panel."""
 
     def build_area(self, ui: Widgets) -> None:
-        """Builds the area of this tool beside the image, if `area` and `shows_area` are set."""
+        """Called in every frame. Builds the area of this tool if `shows_area` is set."""
 
     def ongoing(self) -> Piece | None:
-        """Returns the text over the image during, for example, a video recording, or None."""
+        """Returns text shown over the image, for example during a video recording, or None."""
         return None
 
     def ticks(self) -> Sequence[Tick]:
-        """Returns the marks of this tool on the timeline."""
+        """Returns the events that this tool shows on the timeline."""
         return ()
 
     def next_message(self) -> tuple[str, bool] | None:
-        """Returns a message about background work, with whether it is an error; or None."""
+        """Returns a message about background work and whether it is an error, or None."""
         return None
 
-    # ---- messages from and to the program that has opened the view, see `sero_mj.view`
+    # ---- messages from and to the program that has called `sero_mj.view`
 
     def receive(self, message: Any) -> None:
         """Called with each message from the program."""
 
     def reply(self) -> Any:
-        """Returns a message to the program, or None; called after every frame."""
+        """Called after every frame. Returns a message to the program, or None."""
         return None
 
     # ---- images
 
     @property
     def takes_images(self) -> bool:
-        """Returns whether `take_image` needs frames in full quality and without panels."""
+        """Whether `take_image` needs frames in full quality and without panels."""
         return False
 
     def wants_image(self, now: float) -> bool:
-        """Returns whether to pass this frame to `take_image`; `now` is `time.monotonic()`, s."""
+        """Returns whether `take_image` needs this frame. `now` is the time of `time.monotonic`."""
         return False
 
     def take_image(self, pixels: Pixels, now: float) -> None:
-        """Receives the image of this frame, shape (height, width, 3), and the time, s."""
+        """Called with the image of a frame, shape (height, width, 3), and its time in seconds."""
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """Returns name, goal and T_world_base (4, 4) of the target for a gamepad, or None."""
+        """Returns name, goal and T_world_base, shape (4, 4), of the robot that a gamepad moves."""
         return None
 
     def close(self) -> None:
-        """Releases resources when the window or page is closed."""
+        """Called when the window or page closes. Releases resources."""
 
 
 class Tools(Mapping[str, Tool]):
-    """All tools of a window or page by name, sorted by `order`.
+    """Mapping from names to all tools of a window or page, sorted by `order`.
 
     If a tool of another package fails, the error is logged and shown, and the tool is removed.
     """
@@ -314,7 +319,7 @@ class Tools(Mapping[str, Tool]):
             self._shown.say(f"the tool {name} has failed and is removed: {error}", is_bad=True)
 
     def call(self, tool: Tool, act: Callable[[Tool], Found]) -> Found | None:
-        """Returns the result of a call, or None if the tool fails and is removed."""
+        """Returns the result of `act` for a tool, or None if the tool fails and is removed."""
         name = next((name for name, each in self._tools.items() if each is tool), "tool")
         result: Found | None = None
         with self._guarding(name, type(tool)):
@@ -322,7 +327,7 @@ class Tools(Mapping[str, Tool]):
         return result
 
     def call_all(self, act: Callable[[Tool], Found]) -> list[Found]:
-        """Returns the results of all tools, in the order of the tools."""
+        """Returns the results of `act` for all tools, in their order."""
         results: list[Found] = []
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
@@ -330,7 +335,7 @@ class Tools(Mapping[str, Tool]):
         return results
 
     def first(self, act: Callable[[Tool], Found | None]) -> tuple[Tool, Found] | None:
-        """Returns the first tool whose result is not None, and the result; or None."""
+        """Returns the first tool for which `act` does not return None, and the result, or None."""
         for name, tool in [*self._tools.items()]:
             with self._guarding(name, type(tool)):
                 result = act(tool)
@@ -357,7 +362,7 @@ class Tools(Mapping[str, Tool]):
         return any(self.call_all(lambda tool: tool.takes_images))
 
     def distribute_image(self, draw: Callable[[], Pixels]) -> None:
-        """Passes the current image to the tools that want it; draws it only if a tool wants it."""
+        """Passes the current image to the tools that need it. `draw` renders it if there is one."""
         now = time.monotonic()
         wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
         if any(wanting):
@@ -373,7 +378,7 @@ class Tools(Mapping[str, Tool]):
         return {name: state for name, state in found.items() if state is not None}
 
     def restore_saved(self, states: Mapping[str, Any]) -> None:
-        """Restores the states of tools; ignores states that do not fit."""
+        """Restores the saved states of tools. States that tools reject are ignored."""
         for name, state in states.items():
             with suppress(TypeError, ValueError, KeyError, AttributeError, IndexError):
                 if name in self:
@@ -381,7 +386,7 @@ class Tools(Mapping[str, Tool]):
 
 
 class DrawnTool:
-    """Adapts a tool to a feature of decor. A tool that fails is reported and removed."""
+    """Adapts a tool to the interface of features of a `Decor`, see `decor.feature.Feature`."""
 
     def __init__(self, tool: Tool, tools: Tools) -> None:
         self._tool, self._tools = tool, tools
@@ -396,10 +401,10 @@ class DrawnTool:
 
 
 class Actions:
-    """The actions of a window or page and of its tools by name, and the keys that perform them.
+    """The actions of a window or page and of its tools, and the keys that perform them.
 
-    If two actions have the same name, or two keys are the same, the second is ignored with a
-    warning in the log.
+    If two actions have the same name or the same key, the second one is ignored with a warning in
+    the log.
     """
 
     def __init__(
@@ -411,8 +416,8 @@ class Actions:
             for action, act in (tools.call(tool, lambda tool: tool.actions()) or {}).items():
                 if action in self._actions:
                     log.warning(
-                        "the action %s of the tool %s is ignored: the name is taken; "
-                        "rename it, for example to %s_%s", action, name, name, action,
+                        "the action %s of the tool %s is ignored: the name is in use. "
+                        "Rename the action, for example to %s_%s", action, name, name, action,
                     )  # fmt: skip
                     continue
                 self._actions[action] = partial(self._act, tool, act)
@@ -420,7 +425,7 @@ class Actions:
             for key, entry in tool.keys.items():
                 action = entry[0]
                 if key in self._keys:
-                    log.warning("the key %s of the tool %s is ignored: it is taken", key, name)
+                    log.warning("the key %s of the tool %s is ignored: it is in use", key, name)
                 elif action not in self._actions:
                     log.warning("the tool %s has the key %s, but no action %s", name, key, action)
                 self._keys.setdefault(key, Key(*entry))
@@ -438,7 +443,7 @@ class Actions:
             self.perform(found.action)
 
     def perform(self, action: str) -> None:
-        """Performs an action and shows the resulting message or error."""
+        """Performs an action, and shows the returned message or the error."""
         try:
             message = self._actions[action]()
         except SeroError as error:
@@ -449,10 +454,10 @@ class Actions:
 
 
 def tool_kinds() -> dict[str, type[Tool]]:
-    """Returns all installed tools by name, sorted by `order`; logs tools that cannot be loaded."""
+    """Returns all installed tools by name, sorted by `order`. Failures to load one are logged."""
     return dict(sorted(load_all(TOOLS, Tool).items(), key=lambda each: (each[1].order, each[0])))
 
 
 def tool_keys() -> dict[str, Key]:
-    """Returns the keys of all tools, in the order of the tools."""
+    """Returns a mapping from the keys of all tools to actions, in the order of the tools."""
     return {key: Key(*entry) for kind in tool_kinds().values() for key, entry in kind.keys.items()}

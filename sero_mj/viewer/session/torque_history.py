@@ -1,4 +1,4 @@
-"""`TorqueHistory`: commanded and measured torques of the joints, for plots."""
+"""`TorqueHistory`: recent commanded and measured torques of the joints, for plots."""
 
 from __future__ import annotations
 
@@ -15,24 +15,25 @@ from ..decor.quantities import IMPLAUSIBLE_FACTOR, joint_values
 from ..decor.staleness import Staleness
 from .binned_history import SHOWN, SPAN, BinnedHistory
 
-_GAP = 0.25  # minimum duration of a visible gap, s
+_GAP = 0.25  # minimum duration of a visible gap in a line, s
 _MEASURED, _COMMANDED, _ERROR = range(3)
 _ROWS = {"torques": _MEASURED, "commanded_torques": _COMMANDED}
 ROWS = {**_ROWS, "torque_error": _ERROR}  # row of each quantity in the history
 
 
 class TorqueHistory:
-    """Stores the torques of all joints in the last seconds, see `BinnedHistory`.
+    """Stores the recent torques of all joints.
 
     `add_packets` adds all packets of live sources. `add` adds all other torques, with one sample
-    per frame or every few ms. If time goes back, later samples are deleted.
+    per frame or every few ms. If the displayed time goes back, all samples are deleted.
 
     Args:
+        world: world with the joints.
         routes: routes of the packets for `add_packets`.
-        span: duration of the history, s.
+        span: duration of the history in seconds.
 
     Attributes:
-        until: end of the returned time span, s; None for the time of the newest sample.
+        until: last time of the returned samples in seconds; None for the time of the newest sample.
     """
 
     def __init__(self, world: WorldView, routes: Iterable[Route] = (), span: float = SPAN) -> None:
@@ -41,7 +42,7 @@ class TorqueHistory:
         self._world = world
         self._staleness = Staleness(world)
         self._history = BinnedHistory((3, joints), span)
-        # By source: route, row and joints of the torques.
+        # For each source: route, row of the quantity, and joints.
         self._routes: dict[str, list[tuple[Route, int, slice]]] = {}
         self._by_packet = np.zeros((3, joints), bool)
         for route in routes:
@@ -59,17 +60,18 @@ class TorqueHistory:
         values = self._received(data)
         values[self._by_packet] = np.nan
         history.add(np.array([data.time]), values[None])
-        if stale:  # the line ends at the time of the last data, not when it became stale
+        if stale:  # A line ends at the time of the last data, not when the data became stale.
             gap = self._staleness.time_without_data(data, stale)
             history.forget(np.where(gap > 0, data.time - gap + 1e-6, np.inf)[None])
 
     def add_packets(self, data: mujoco.MjData, source: str, packets: Packets, now: float) -> None:
-        """Adds the torques of packets, each at the arrival time of the packet.
+        """Adds the torques of packets at their arrival times.
 
         Args:
-            data: state of the world before the last packet is applied; `data.time` is the current
-                time.
-            now: current time on the clock of the arrival times, s.
+            data: state of the world at the current time, before the last packet is applied.
+            source: name of the packets' source.
+            packets: packets to add.
+            now: current time on the clock of the arrival times in seconds.
         """
         routes = self._routes.get(source)
         if routes is None:
@@ -85,7 +87,7 @@ class TorqueHistory:
             came[[row, _ERROR], joints] = True
         values[:, _ERROR] = values[:, _COMMANDED] - values[:, _MEASURED]
         values[:, ~came] = np.nan
-        if self._world.joints.is_largest.any():  # peaks between two frames count as well
+        if self._world.joints.is_largest.any():  # Peaks between two frames must count, too.
             for row in (_MEASURED, _COMMANDED):
                 size = np.fmax.reduce(np.abs(values[:, row]), axis=0)
                 self._world.joints.note_largest(size, IMPLAUSIBLE_FACTOR)
@@ -96,14 +98,16 @@ class TorqueHistory:
         return np.array([found["torques"], found["commanded_torques"], found["torque_error"]])
 
     def of(self, joint: int, points: int = 2 * SHOWN) -> tuple[Array, Array]:
-        """Returns the torques of a joint, oldest first.
+        """Returns the torques of a joint, with the oldest sample first.
 
         Args:
-            points: approximate maximum number of samples, see `BinnedHistory.until`.
+            joint: index of the joint in the world.
+            points: approximate maximum number of samples.
 
         Returns:
-            times (k,), s, relative to the newest time (0 or negative), and values (3, k):
-            measured, commanded, and commanded - measured, Nm or N, NaN for no data.
+            times in seconds relative to the newest sample, shape (k,), and values in Nm or N, shape
+            (3, k). The rows are measured, commanded, and commanded - measured torques; NaN for no
+            data.
         """
         times, values = self._history.until(self.until, points, (slice(None), joint))
         times = times - times[-1:]
@@ -111,21 +115,24 @@ class TorqueHistory:
         return times[is_recent], values[:, is_recent]
 
     def one(self, joint: int, key: str, points: int) -> tuple[Array, Array]:
-        """Returns one quantity of `ROWS` of a joint, oldest first.
+        """Returns one quantity of a joint, a key of `ROWS`, with the oldest sample first.
 
         Returns:
-            times (k,), s, and values (k,), Nm or N, NaN for no data.
+            times in seconds, shape (k,), and values in Nm or N, shape (k,); NaN for no data.
         """
         times, values = self._history.until(self.until, points, (ROWS[key], joint))
         return times, values[0]
 
 
 def split_at_gaps(times: Array, values: Array) -> list[Ints]:
-    """Returns the indices of the samples of each continuous piece of a line.
+    """Splits a line of a plot at gaps of 0.25 s and more.
 
     Args:
-        times: increasing times (k,), s.
-        values: values (k,), NaN for no data; gaps shorter than `_GAP` are ignored.
+        times: increasing times in seconds, shape (k,).
+        values: values of the line, shape (k,); NaN for no data.
+
+    Returns:
+        sample indices of each continuous piece of the line.
     """
     there = np.isfinite(values).nonzero()[0]
     if not len(there):

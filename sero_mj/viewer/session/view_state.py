@@ -1,4 +1,4 @@
-"""`ViewState`: the user's settings of a view, as text for commands and links."""
+"""`ViewState`: the user's settings of a window or page, which commands and links contain."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ..image.camera import find_camera
 from ..image.switches import SWITCH_NAMES, apply_switches, find_joint, switches_text
 from .clock import Clock
 
-_DECIMALS = 4  # decimals of angles in degrees and positions in m
-_MAX_CHARACTERS = 200_000  # length of a state as text, with a digit for each switch of each joint
+_DECIMALS = 4  # number of decimals of angles in degrees and positions in m
+_MAX_CHARACTERS = 200_000  # maximum length of the text; each switch of each joint has a digit
 _MAX_TIME = 1e9  # s
 _CAMERA = ("type", "fixedcamid", "trackbodyid", "azimuth", "elevation", "distance")
 _SWITCHES = (*SWITCH_NAMES, "clicked")
 
 
 class _Text(BaseModel):
-    """The JSON form of a state. The parser limits the nesting."""
+    """JSON schema of a view state. The parser of pydantic limits the nesting."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -37,13 +37,13 @@ class _Text(BaseModel):
 
 
 class ViewState(NamedTuple):
-    """The user's settings of a view.
+    """The user's settings of a window or page.
 
     Attributes:
         camera: camera in the format of `find_camera`, or an empty string for the scene's view.
         switches: switches that differ from the scene, in the format of `apply_switches`.
         joint: name of the selected joint, or an empty string.
-        time: displayed time, s; None for live sources.
+        time: displayed time in seconds; None for live sources.
     """
 
     camera: str = ""
@@ -52,7 +52,7 @@ class ViewState(NamedTuple):
     time: float | None = None
 
     def to_text(self) -> str:
-        """Returns one line of JSON, without the fields that have their default values."""
+        """Returns the settings as one line of JSON, without default values."""
         found = {
             name: value for name, value in self._asdict().items() if value not in ("", {}, None)
         }
@@ -60,13 +60,13 @@ class ViewState(NamedTuple):
 
     @classmethod
     def from_text(cls, text: str) -> ViewState:
-        """Returns the view that `to_text` has written as text.
+        """Parses the text that `to_text` has returned.
 
         Raises:
             UsageError: the text is invalid.
         """
         if len(text) > _MAX_CHARACTERS:
-            expected = f"at most {_MAX_CHARACTERS}"
+            expected = f"at most {_MAX_CHARACTERS} characters"
             raise UsageError(f"view: found {len(text)} characters; expected {expected}")
         try:
             state = _Text.model_validate_json(text)
@@ -82,17 +82,17 @@ class ViewState(NamedTuple):
 def view_state_of(
     world: WorldView, camera: mujoco.MjvCamera, toggles: Toggles, clock: Clock
 ) -> ViewState:
-    """Returns the user's current settings of a view."""
+    """Returns the current camera, switches, selection and time as a `ViewState`."""
     return ViewState(
         camera_text(world, camera),
         switches_text(world, toggles),
         "" if toggles.selected is None else joint_name(world, toggles.selected),
-        None if clock.is_live else round(clock.time, 6),  # arrows rotate with time
+        None if clock.is_live else round(clock.time, 6),  # Arrows rotate with time.
     )
 
 
 def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
-    """Returns a camera in the format of `find_camera`: the camera's name, or six numbers."""
+    """Formats a camera for `find_camera`, as the camera's name or as six numbers."""
     if int(camera.type) == int(mujoco.mjtCamera.mjCAMERA_FIXED):
         return str(world.model.camera(camera.fixedcamid).name)
     numbers = (camera.azimuth, camera.elevation, camera.distance, *camera.lookat)
@@ -102,10 +102,11 @@ def camera_text(world: WorldView, camera: mujoco.MjvCamera) -> str:
 def apply_state(
     world: WorldView, toggles: Toggles, state: ViewState
 ) -> tuple[mujoco.MjvCamera | None, int | None, list[str]]:
-    """Applies a state to the switches of a world, and skips settings that do not fit.
+    """Applies a view state to the switches of a world. Invalid settings are skipped.
 
     Returns:
-        the camera, or None for the scene's view, the selected joint, and the errors.
+        the camera, or None for the scene's view; the index of the selected joint, or None; and one
+        error message for each invalid setting.
     """
     errors: list[str] = []
     camera = None
@@ -130,10 +131,10 @@ def apply_state(
 
 
 class ViewSnapshot(NamedTuple):
-    """The exact state of a view for undo; states are compared with `==`.
+    """The exact camera, switches and selection of a window or page, which undo restores.
 
     Attributes:
-        camera: type, ids of camera and body, azimuth, elevation and distance.
+        camera: type, camera id, body id, azimuth, elevation and distance of the camera.
         lookat: look-at point, shape (3,), m; None if the camera follows a frame.
     """
 

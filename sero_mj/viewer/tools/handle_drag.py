@@ -9,16 +9,17 @@ from ..decor.handles import CUBE, ring_radius
 from ..decor.image_view import ImageView
 from ..image.picking import Pixel
 
-_EDGE_ON = 0.2  # |axis . line of sight| of a ring; below this the ring appears as a line
-_HEAD_ON = 0.05  # sin^2 of the angle between an arrow and the line of sight; smaller: drag ignored
+_EDGE_ON = 0.2  # |axis . line of sight| below which a ring appears as a line
+_HEAD_ON = 0.05  # sin^2 of the angle between arrow and line of sight below which drags are ignored
 
 
 def dragged(pose: Array, handle: int, view: ImageView, begin: Pixel, now: Pixel) -> Array:
-    """Returns the pose (4, 4) of a frame whose handle was dragged from one pixel to another.
+    """Returns the new pose of a frame, shape (4, 4), after a handle was dragged between two pixels.
 
     An arrow moves the frame along its axis, to the point nearest to the line of sight. A ring
-    rotates the frame about its axis: by the angle in its plane, or, if it appears as a line, by the
-    distance along that line. The cube moves the frame parallel to the image plane.
+    rotates the frame about its axis, by the angle of the pointer in the plane of the ring. If the
+    ring appears as a line, the distance along this line determines the angle. The cube moves the
+    frame parallel to the image plane.
     """
     found = pose.copy()
     origin = pose[:3, 3]
@@ -58,7 +59,7 @@ def _along(view: ImageView, origin: Array, axis: Array, pixel: Pixel) -> float:
 def _about(view: ImageView, origin: Array, axis: Array, begin: Pixel, now: Pixel) -> float:
     sight = (origin - view.position) / np.linalg.norm(origin - view.position)
     if abs(float(sight @ axis)) < _EDGE_ON:
-        # The near side of the ring moves along this line in the image.
+        # The side of the ring near the camera moves along this line in the image.
         along = np.cross(axis, -sight)
         moved = _in_image(view, origin, now) - _in_image(view, origin, begin)
         return float(moved @ along) / ring_radius(origin, view)
@@ -79,11 +80,12 @@ def _rotation(axis: Array, angle: float) -> Array:
 
 
 def target_of(eye: Array, forward: Array, point: Array, ray: Array) -> Array:
-    """Returns the point where a ray meets the plane through `point` parallel to the image plane.
+    """Returns the intersection of a line of sight with a plane parallel to the image plane.
 
     Args:
-        eye: position of the camera, (3,), m.
-        ray: another point of the ray, (3,), m.
+        eye: position of the camera, shape (3,), m.
+        point: point of the plane, shape (3,), m.
+        ray: point of the line of sight, shape (3,), m.
     """
     depth = (point - eye) @ forward
     return eye + (ray - eye) * (depth / ((ray - eye) @ forward))

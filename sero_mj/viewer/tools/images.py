@@ -1,4 +1,4 @@
-"""Screenshots and videos, and the command that renders the displayed image."""
+"""Tools that save screenshots and videos, and copy the command that renders the image."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..session.tool import Action, Shown, Tool
 
 
 class Images(Tool):
-    """Takes screenshots with F2 and records videos with F3."""
+    """Tool that takes screenshots with F2 and records videos with F3."""
 
     order: ClassVar[int] = 88
     keys: ClassVar[Mapping[str, Key]] = {
@@ -70,7 +70,7 @@ class Images(Tool):
 
 
 class CopyCommand(Tool):
-    """The action of Ctrl+C, which copies the command that renders the displayed image."""
+    """Tool that copies the command that renders the displayed image with Ctrl+C."""
 
     order: ClassVar[int] = 85
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
@@ -83,11 +83,11 @@ class CopyCommand(Tool):
     def _copy(self) -> str:
         shown = self.shown
         if shown.decor.fixed:
-            return f"{shown.decor.fixed}; no command renders this image, F2 saves it"
+            return f"{shown.decor.fixed}; no command renders this image, but F2 saves it"
         state, (width, height) = shown.view_state(), shown.image_size
         words = ["sero-mj", "render", *shown.render_words()]
         words += [] if state.time is None else ["--at", f"{state.time:g}"]
         words += ["--size", f"{width}x{height}", "-o", "image.png"]
         shown.to_clipboard(shlex.join(words))
-        live = "; it will show newer data" if shown.clock.is_live else ""
+        live = "; its image will show newer data" if shown.clock.is_live else ""
         return f"copied the command that renders this image{live}"

@@ -1,7 +1,7 @@
-"""`Jogging`: lets the user move robots without data, by sliders, typed poses and dragged links.
+"""`Jogging`: moves robots without data by sliders, typed poses and dragged links.
 
-The displayed angles approach the requested ones smoothly. If no torques are received either, the
-torques that hold the robot against gravity are computed from its model and displayed.
+The displayed angles approach the requested ones smoothly. If a robot has no torques either, the
+torques that hold it against gravity are computed from its model and displayed.
 """
 
 from __future__ import annotations
@@ -23,15 +23,16 @@ from ..session.tool import Grab, Shown, Tool
 from ..session.widgets import Widgets
 from .handle_drag import target_of
 
-_TIME = 0.04  # time constant of the approach, s
-_LED = 1.0  # s; a program that sets angles at shorter intervals is in control of the robot
+_TIME = 0.04  # time constant with which displayed angles approach requested ones, s
+_LED = 1.0  # maximum interval at which a program sets angles if it controls a robot, s
 
 
 class Jogging(Tool):
-    """Lets the user move the robots without data.
+    """Tool with which the user moves the robots that no source or program moves.
 
     Attributes:
-        goals: mapping from the names of robots without data to their joint goals.
+        goals: mapping from names of robots without data to the requested joint angles.
+        held: torques that hold these robots against gravity.
     """
 
     order: ClassVar[int] = 20
@@ -46,16 +47,14 @@ class Jogging(Tool):
             name: JointGoal(part.robot, data.qpos[part.qpos]) for name, part in parts.items()
         }
         self._written = {name: self._shown(name) for name in self.goals}
-        self._since = dict.fromkeys(
-            self.goals, np.inf
-        )  # by robot: time since a program set the angles, s
+        # For each robot: time since a program has set the angles, s.
+        self._since = dict.fromkeys(self.goals, np.inf)
         self._fastest = {
             name: undeclared_speeds(goal.robot, "shown") for name, goal in self.goals.items()
         }
         self.held = HeldTorques(mirror, shown.toggles)
-        self._dragged: tuple[str, int, Array] | None = (
-            None  # robot, link, point in the frame of the link
-        )
+        # Robot, link, and point in the frame of the link.
+        self._dragged: tuple[str, int, Array] | None = None
         self._at: Pixel = (0.0, 0.0)
         self._panel = JogPanel(world, self.goals, self.base)
 
@@ -67,7 +66,7 @@ class Jogging(Tool):
         return self._dragged is not None
 
     def base(self, name: str) -> Array:
-        """Returns T_world_base (4, 4) of a displayed robot."""
+        """Returns the base pose of a displayed robot, T_world_base, shape (4, 4)."""
         world = self._mirror.world
         return world.frame(self._mirror.data, world.robots[name].base_name)
 
@@ -78,8 +77,8 @@ class Jogging(Tool):
             self._since[name] += passed
             is_recent = self._since[name] < _LED
             if not np.array_equal(shown, self._written[name]):
-                goal.follow(shown)  # a program or a reset has set the angles
-                goal.is_led = is_recent  # false after a single reset
+                goal.follow(shown)  # A program or a reset has set the angles.
+                goal.is_led = is_recent  # A single reset does not count.
                 self._since[name] = 0.0
             elif not is_recent:
                 goal.is_led = False
@@ -170,7 +169,7 @@ class Jogging(Tool):
 
 
 def approached(shown: Array, wanted: Array, passed: float, fastest: Array) -> Array:
-    """Returns the next displayed angles, which finally equal the requested angles."""
+    """Returns the next displayed joint angles, which approach the requested ones, shape (n,)."""
     error = wanted - shown
     step = np.clip(error * (1.0 - np.exp(-passed / _TIME)), -fastest * passed, fastest * passed)
     return np.asarray(np.where(np.abs(error) < 1e-5, wanted, shown + step))

@@ -1,4 +1,4 @@
-"""`ModelView`: switches for MuJoCo's drawing of contacts, inertias, joints, names and so on."""
+"""`ModelView`: switches for the contacts, inertias, joints and names that MuJoCo draws."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from ..decor.toggles import PART_NAMES
 from ..session.tool import Tool
 from ..session.widgets import Widgets
 
-# Lengths in units of the text height.
-_SECOND = 8.6  # left edge of the second widget of a line
-_WIDTH = 8.6  # width of the drop-down list
-# Switch, label and tooltip.
+_SECOND = 8.6  # left edge of the second widget of a line, in text heights
+_WIDTH = 8.6  # width of the drop-down list, in text heights
+# Each entry has the name of a switch, a label and a tooltip.
 _LINES = (
     (
         ("contacts", "contacts", "contact points, with contact forces if they are known"),
@@ -33,7 +32,7 @@ _LINES = (
 
 
 class ModelView(Tool):
-    """The panel section Model, whose switches are part of `Toggles`."""
+    """Tool with the panel section Model, whose check boxes set attributes of `Toggles`."""
 
     order: ClassVar[int] = 75
 

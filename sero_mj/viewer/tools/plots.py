@@ -1,4 +1,4 @@
-"""`Plots`: plots torques of the selected joint, and other signals, over the last seconds."""
+"""`Plots`: plots the recent torques of the selected joint, and other signals."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from ..session.torque_history import TorqueHistory
 from ..session.widgets import Widgets
 
 _AREA = "Plots"
-_MIN_TORQUES = 12.0  # minimum height of the torques above other plots, in text heights
-_SHARE = 0.4  # fraction of the height for the torques
+_MIN_TORQUES = 12.0  # minimum height of the torque plots above other plots, in text heights
+_SHARE = 0.4  # fraction of the height for the torque plots above other plots
 
 
 class Plots(Tool):
-    """Shows and hides the plots with the key p."""
+    """Tool that shows and hides the plots with the key p."""
 
     order: ClassVar[int] = 15
     keys: ClassVar[Mapping[str, Key]] = {
@@ -33,8 +33,8 @@ class Plots(Tool):
     def __init__(self, shown: Shown) -> None:
         super().__init__(shown)
         mirror, clock = shown.mirror, shown.clock
-        # Packets of live sources arrive between frames; for other sources, the clock provides
-        # samples.
+        # Live sources provide samples in packets between frames. For all other sources, the clock
+        # provides samples.
         span = SPAN + HISTORY_SPAN if clock.is_live and clock.can_go_back else SPAN
         routes = mirror.routes if mirror.is_live else ()
         self.history = TorqueHistory(shown.world, routes, span)
@@ -70,9 +70,8 @@ class Plots(Tool):
         self.history.add_packets(self.shown.data, source, packets, now)
 
     def receive(self, message: Mapping[str, Array]) -> None:
-        """Adds samples that the program has sent, see `PlotSignals.add_program`."""
         if not self.shown.clock.is_live and self.shown.clock.is_paused:
-            return  # time does not advance
+            return  # The samples would have no displayed time.
         new = self.signals.add_program(message)
         if new:
             self.area, self.shows_area = _AREA, True

@@ -22,17 +22,17 @@ from ..session.tool import Action, Shown, Tool
 
 log = logging.getLogger(__name__)
 
-_SIGNALS_RATE = 100.0  # decoded values per second, so that a minute is decoded quickly
+_SIGNALS_RATE = 100.0  # number of decoded values per second, which limits the time for a minute
 
 
 class RollingRecorder(Tool):
-    """Stores the packets of live sources in memory, and saves the last minute on request.
+    """Tool that stores packets of live sources in memory, and saves the last minute with the key k.
 
     Attributes:
         finishes_videos: whether `close` waits for unfinished pages and videos.
     """
 
-    order: ClassVar[int] = 25  # before the tool that saves pulls
+    order: ClassVar[int] = 25  # The tool that saves pulls must come later.
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
         "k": ("keep", "save the last minute of live data, or the pushes of a simulation")
     }
@@ -44,7 +44,7 @@ class RollingRecorder(Tool):
         self._stack = ExitStack()
         self._messages: queue.SimpleQueue[tuple[str, bool]] = queue.SimpleQueue()
         self._exports = BackgroundExports()
-        self._paths: deque[Path] = deque()  # recordings to be written
+        self._paths: deque[Path] = deque()  # paths of the next recordings
         self._view: Sequence[str] = ()
         live = {name: each for name, each in mirror.sources.items() if each.is_live}
         self.is_on = bool(live)
@@ -85,7 +85,7 @@ class RollingRecorder(Tool):
             seconds = max(event.ended - event.began, 0.1)
             words = [*self._view, "--replay", str(event.path), "--duration", f"{seconds:.2f}"]
             self._exports.add(["render", *words], event.path.with_suffix(".mp4"))
-        text += "; creating its page" + f" after {before} other files" * bool(before)
+        text += "; creating its page" + f" ({before} in the queue before it)" * bool(before)
         self._messages.put((text, False))
 
     def next_message(self) -> tuple[str, bool] | None:

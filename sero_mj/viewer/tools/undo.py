@@ -1,4 +1,4 @@
-"""`UndoTool`: undoes and redoes the user's changes to a view."""
+"""`UndoTool`: undoes and redoes the user's changes to a window or page."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from ..session.view_state import ViewSnapshot
 
 State = TypeVar("State")
 
-_PAUSE = 0.3  # s; changes without a longer pause are one step
+_PAUSE = 0.3  # minimum pause between the changes of two steps, s
 _MAX_STEPS = 200
 
 
 class Undo(Generic[State]):
-    """Undo history of a state that is read in every frame. Changes without a pause are one step."""
+    """Undo history of the state that `read` returns. Changes without a pause form one step."""
 
     def __init__(self, read: Callable[[], State], write: Callable[[State], None]) -> None:
         self._read, self._write = read, write
@@ -50,14 +50,14 @@ class Undo(Generic[State]):
             self._base = self._last
 
     def undo(self) -> str:
-        """Reverts the last step; returns a message for the user."""
+        """Reverts the last step, and returns a message for the user."""
         self._last = self._read()
         self._settle()
         done = self._step(self._past, self._future)
         return "undone; Ctrl+Y redoes it" if done else "nothing to undo"
 
     def redo(self) -> str:
-        """Repeats the step that was undone; returns a message for the user."""
+        """Repeats the last step that was undone, and returns a message for the user."""
         self._last = self._read()
         self._settle()
         return "redone" if self._step(self._future, self._past) else "nothing to redo"
@@ -72,7 +72,7 @@ class Undo(Generic[State]):
 
 
 class UndoTool(Tool):
-    """Ctrl+Z and Ctrl+Y: undo and redo of camera, switches, selection and states of tools."""
+    """Tool that undoes and redoes changes of camera, switches, selection and other tools."""
 
     order: ClassVar[int] = 80
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {

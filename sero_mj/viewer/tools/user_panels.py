@@ -1,7 +1,4 @@
-"""`UserPanelsTool`: shows the widgets of the program that has opened the viewer.
-
-`program/panels.py` is the counterpart in the program's process.
-"""
+"""`UserPanelsTool`: shows the widgets that the user's program adds with `program/panels.py`."""
 
 from __future__ import annotations
 
@@ -15,7 +12,7 @@ from ..session.widgets import Widgets
 
 
 class UserPanelsTool(Tool):
-    """Adds one section to the panel for each panel of the program."""
+    """Tool that adds one section to the viewer's panel for each `UserPanel` of the program."""
 
     order: ClassVar[int] = 10
 

@@ -1,4 +1,4 @@
-"""`Browsers`: all browsers that show a page, one of which has control."""
+"""`Browsers`: the browsers that show a page. One of them has control."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ from .messages import (
 )
 from .sections import Sections, message_of
 
-# Maximum number of unacknowledged messages; with more messages, a slow browser would lag behind.
+# With more unacknowledged messages, the display of a slow browser would be delayed.
 _MAX_PENDING = 3
-_MAX_QUEUED = 2000  # received messages; further messages wait in the connections
+_MAX_QUEUED = 2000  # maximum number of received messages; connections hold further ones
 _MAX_BROWSERS = 64
-_MAX_PER_SECOND = 1000  # messages of a browser; a drag causes about 150 per second
-_PAUSE = 0.02  # s between checks for space in the queue
-_TOO_BIG, _TRY_LATER = 1009, 1013  # codes of closed websockets
+_MAX_PER_SECOND = 1000  # maximum number of messages of a browser; a drag sends about 150
+_PAUSE = 0.02  # time between checks for space in the queue, s
+_TOO_BIG, _TRY_LATER = 1009, 1013  # status codes of closed websockets
 
 
 class Browsers:
-    """The browsers of a page. The server's thread and the page's thread both use this object.
+    """The browsers that show a page. The server's thread and the page's thread use this object.
 
     Args:
         sections: state of the page.
         kinds: accepted kinds of messages, see `MessageReader`.
 
     Attributes:
-        sent: number of states that were sent to all browsers.
-        refused: number of messages that were malformed, or came from a browser without control.
+        sent: number of states sent to browsers, summed over all browsers.
+        refused: number of messages that were malformed or came from a browser without control.
     """
 
     def __init__(self, sections: Sections, kinds: Any) -> None:
@@ -73,7 +73,7 @@ class Browsers:
         return None if browser is None else browser.sender.is_local
 
     def is_in_control(self, key: str) -> bool:
-        """Whether a key is the secret key of the connection that has control."""
+        """Returns whether a key is the secret key of the browser in control."""
         browser = self._browsers.get(self._holder or 0)
         return browser is not None and same_text(key, browser.key)
 
@@ -82,7 +82,7 @@ class Browsers:
             yield self._queue.popleft()
 
     def send_event(self, event: dict[str, Any]) -> None:
-        """Queues an event for the browser in control; call `wake` on the server's thread next."""
+        """Queues an event for the browser in control. `wake` on the server's thread sends it."""
         with self._lock:
             browser = self._browsers.get(self._holder or 0)
         if browser is not None:
@@ -118,7 +118,7 @@ class Browsers:
         while (
             len(self._queue) >= _MAX_QUEUED
             and browser.id == self._holder
-            and browser.connection.state is State.OPEN  # also when the server closes
+            and browser.connection.state is State.OPEN  # ends the loop when the server closes
         ):
             await asyncio.sleep(_PAUSE)
         now = time.monotonic()
@@ -181,12 +181,12 @@ class Browsers:
             case Control():
                 if self._holder != browser.id:
                     self._holder = browser.id
-                    # The previous browser can no longer release a button.
+                    # The previous browser can no longer release a pressed button.
                     self._queue.append(Received(Left(), browser.sender))
                     self._put_control()
             case _ if browser.id == self._holder:
                 self._queue.append(Received(message, browser.sender))
-            case PageSize():  # every browser sends it when it connects
+            case PageSize():  # Every browser sends its size when it connects.
                 pass
             case _:
                 self.refused += 1
@@ -199,6 +199,6 @@ class _Browser:
         self.key = secrets.token_urlsafe(16)
         self.wake = asyncio.Event()
         self.wake.set()
-        self.pending = 0  # messages that the browser has not acknowledged
+        self.pending = 0  # number of messages that the browser has not acknowledged
         self.events: collections.deque[str] = collections.deque(maxlen=100)
-        self.second, self.messages = 0.0, 0  # start of a second, and the messages in it
+        self.second, self.messages = 0.0, 0  # start of a second, and number of messages in it

@@ -1,4 +1,4 @@
-"""Compression of the server's responses, for slow links."""
+"""Compresses the responses of a page's server for slow network connections."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from websockets.datastructures import Headers, MultipleValuesError
 from websockets.extensions.permessage_deflate import ServerPerMessageDeflateFactory
 from websockets.http11 import Request, Response
 
-# For websockets. Higher levels take up to twice as long and save 3 %.
+# Higher levels for websockets take up to twice as long and save 3 %.
 DEFLATE = ServerPerMessageDeflateFactory(compress_settings={"level": 1})
-# For files and models, which are compressed once while a browser waits. Higher levels take more
-# than twice as long and save 4 %.
+# Files and models are compressed once, while a browser waits. Higher levels take more than twice
+# as long and save 4 %.
 _LEVEL = 4
 _MIN_SIZE = 1024  # bytes
 _CACHE = 32 * 2**20  # maximum size of all cached results, bytes
@@ -20,24 +20,24 @@ _GZIP = 16 + zlib.MAX_WBITS
 
 
 class CompressedResponses:
-    """Compresses responses for browsers that accept it, and caches the results.
+    """Compresses responses for browsers that accept gzip, and caches the results.
 
-    A file is not sent again to a browser that already has the current version.
+    If a browser already has the current version of a file, the file is not sent again.
     """
 
     def __init__(self) -> None:
-        # By checksum and length, least recently used first.
+        # The keys are checksum and length. The first entry is the least recently used one.
         self._cached: collections.OrderedDict[tuple[int, int], bytes] = collections.OrderedDict()
 
     def compress(self, request: Request, response: Response) -> None:
-        """Compresses the body of a response with status 200 if the result is shorter."""
+        """Compresses the body of a response with status 200, unless the body is short."""
         body, headers = response.body, response.headers
         if response.status_code != 200 or not body or len(body) < _MIN_SIZE:
             return
         key = zlib.crc32(body), len(body)
-        if "Cache-Control" not in headers:  # a file of the page
+        if "Cache-Control" not in headers:  # This is a file of the page.
             headers["ETag"] = tag = f'"{key[0]:08x}-{key[1]:x}"'
-            headers["Cache-Control"] = "no-cache"  # cached, but validated by its ETag
+            headers["Cache-Control"] = "no-cache"  # Browsers cache the file and check its ETag.
             if _only(request.headers, "If-None-Match") == tag:
                 response.status_code, response.reason_phrase = 304, "Not Modified"
                 body = b""

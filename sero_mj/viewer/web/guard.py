@@ -1,31 +1,32 @@
-"""Access control of the page's server.
+"""Access control of a page's server.
 
-The guard refuses requests of websites that are open in the user's browser, and requests of other
-users of this machine, who can connect to every port and send any headers.
+The guard refuses requests of websites that are open in the user's browser. It also refuses requests
+of other users of this machine, who can connect to every port and send any headers.
 
-Three headers that websites cannot forge are checked on every path:
+Three headers that websites cannot forge are checked for every path:
 
 - `Host` must name this machine. This excludes external names that resolve to it (DNS rebinding).
 - `Origin`, if present, must be the origin of the page.
 - `Sec-Fetch-Site` must not name another site, except for opening the page.
 
-Other users are refused by a token, which a page has by default:
+A token, which a page has by default, excludes other users:
 
-- The printed link contains it (`?token=`). A script of the page, `access.js`, stores the token in
-  the browser's `localStorage`, which belongs to one origin (scheme, name and port), and removes it
-  from the address bar. So a reload, a second tab and a link to a view need no token.
+- The printed link contains the token (`?token=`). A script of the page, `access.js`, stores the
+  token in the browser's `localStorage`, which belongs to one origin (scheme, name and port). The
+  script also removes the token from the address bar. A reload, a second tab and a link to a view
+  therefore need no token.
 - The token is not stored in a cookie, because browsers send cookies to every port of a host.
   Another user's server on another port would receive the cookie.
 - The page's HTML, scripts and styles contain no secret and need no token. The websockets, the
   scenes and images of the start page, and uploads need the token. The script adds the token to
   their addresses.
 - An upload also needs the key of the connection in control, which only that connection has
-  received, see `Browsers.is_in_control`. Someone who has only the token must take control first,
-  which all browsers display.
-- The server listens on both loopback addresses. Otherwise another user could listen on the second
+  received, see `Browsers.is_in_control`. Someone who has only the token must take control first.
+  All browsers display who is in control.
+- The server listens on both loopback addresses. Otherwise, another user could listen on the second
   address, and browsers that resolve `localhost` to this address would send the token there.
 - A token is valid until its viewer ends. A viewer uses the same port for all pages, see
-  `PageListener`. If another user gets the port later, a received token is useless.
+  `PageListener`. If another user gets the port later, a token received there is useless.
 
 Programs other than browsers send neither `Origin` nor `Sec-Fetch-Site`. They need only the host and
 the token.
@@ -59,7 +60,7 @@ _POLICY = (
 
 
 def is_loopback(address: str) -> bool:
-    """Whether an address can only be reached from this machine."""
+    """Returns whether an address can only be reached from this machine."""
     try:
         found = ipaddress.ip_address(address.partition("%")[0])
     except ValueError:
@@ -69,10 +70,10 @@ def is_loopback(address: str) -> bool:
 
 
 def is_local(connection: ServerConnection) -> bool:
-    """Whether a connection comes from this machine.
+    """Returns whether a connection comes from this machine.
 
     Connections through SSH tunnels and notebook kernels count as local, because their users can run
-    programs on this machine anyway. Connections that declare a proxy do not count.
+    programs on this machine anyway. Connections with headers of a proxy do not count as local.
     """
     request, peer = connection.request, connection.remote_address
     if request is None or not isinstance(peer, tuple) or not is_loopback(str(peer[0])):
@@ -81,7 +82,7 @@ def is_local(connection: ServerConnection) -> bool:
 
 
 def same_text(text: str, expected: str) -> bool:
-    """Whether two strings are equal, compared in a time that does not depend on the contents."""
+    """Returns whether two strings are equal, in a time that does not depend on their contents."""
     return hmac.compare_digest(text.encode("utf-8", "replace"), expected.encode())
 
 
@@ -91,12 +92,12 @@ def make_token() -> str:
 
 
 class Guard:
-    """Checks every request, and prevents other sites from reading the responses.
+    """Checks every request to a page's server, and sets security headers of the responses.
 
     Args:
         bound: IP address that the server listens on.
         host: address or name that the user has specified for the server.
-        token: required token, if any.
+        token: required token, or None.
         public: paths of files that need no token.
     """
 
@@ -136,7 +137,7 @@ class Guard:
             return None
         if token is None or not same_text(token, self.token):
             return (
-                "found no valid token; open the link that was printed where this page "
+                "found no valid token; open the link that was printed when this page "
                 f"was started: http://{headers['Host']}/?token=..."
             )
         return None
@@ -164,7 +165,7 @@ class Guard:
         if self._is_private:
             return False
         try:
-            ipaddress.ip_address(name)  # IP addresses cannot be rebound
+            ipaddress.ip_address(name)  # DNS rebinding needs a name.
         except ValueError:
             return name.startswith(f"{self._machine}.") and self._machine != "localhost"
         return True

@@ -27,22 +27,22 @@ from .uploads import NOT_IN_CONTROL, drops
 if TYPE_CHECKING:
     from ..image.render import HeadlessRenderer
 
-RATE = 60.0  # frames per second
+RATE = 60.0  # number of frames per second
 
 
 class WebHost(LiveHost):
     """Shows a mirror on a web page, which browsers render with the player.
 
-    Any number of browsers can connect. One of them is in control, with mouse, keys and panels.
+    Several browsers can connect. Only the browser in control can use mouse, keys and panels.
 
     Args:
-        mirror: an open mirror, which the page's clock advances.
-        camera: initial camera, see `find_camera`.
+        mirror: open mirror, which the clock of the page advances.
+        camera: initial camera, see `find_camera`; None for the view of the scene.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
-        token: token of the page, see `PageServer`.
-        waits: whether recordings and simulations start when the first browser connects.
-        folder: directory of saved files, see `LiveHost`.
+        token: token of the page; True to create a token, False for none.
+        waits: whether recordings and simulations wait until the first browser connects.
+        folder: directory for exported files, images and videos; None for the current directory.
 
     Raises:
         RenderError: the page cannot be served at this address and port.
@@ -69,9 +69,7 @@ class WebHost(LiveHost):
         self._sections = Sections()
         self._state = PageState(world, self._sections)
         self._use(self.decor)
-        self.decor.add(
-            self._state
-        )  # must be the last feature, because it captures what all others have drawn
+        self.decor.add(self._state)  # The last feature captures the output of all others.
         self._is_held = waits and not self.clock.is_live
         self._is_closing = self._is_closed = False
         self.actions.add(
@@ -93,7 +91,7 @@ class WebHost(LiveHost):
             token=token,
         )
         self._begin = self._last = time.monotonic()
-        self._interval = 1.0 / RATE  # s, averaged over the last frames
+        self._interval = 1.0 / RATE  # mean time between the last frames, s
         navigator = self.navigator
         self._state.begin(self.data, navigator.camera, navigator.needed, world.scene.name)
 
@@ -118,7 +116,7 @@ class WebHost(LiveHost):
         return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
     def frame(self, *, wait: bool = True) -> bool:
-        """Serves one frame. Without `wait`, serves a frame only if it is time for the next one."""
+        """Serves one frame. If `wait` is False, does nothing until it is time for the next one."""
         if not self.is_open:
             return False
         if not (wait or self.is_due):
@@ -158,7 +156,7 @@ class WebHost(LiveHost):
 
     @property
     def link(self) -> str:
-        """Address of the page with the current view, without the token that browsers store."""
+        """Address of the page with the current view, without the token."""
         view = urllib.parse.quote(self.view_state().to_text(), safe="")
         return f"{self.server.plain_url}#view={view}"
 

@@ -1,8 +1,8 @@
-"""The kinds of messages from browsers, with the types and bounds of the fields.
+"""The kinds of messages from browsers, with types and limits of their fields.
 
-Only `MessageReader` parses messages. A new kind needs a class here, a place in `ForScene` or
-`ForStartPage`, and a handler in the page. Messages other than `Got` and `Control` are ignored
-unless they come from the browser in control, see `Browsers`.
+Only `MessageReader` parses messages. A new kind needs a class here, an entry in `ForScene` or
+`ForStartPage`, and a handler in the page. Browsers without control can only send `Got` and
+`Control`.
 """
 
 from __future__ import annotations
@@ -11,8 +11,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
-MAX_BYTES = 2**15  # size of a message; only a view in a link exceeds about 100 bytes
-MAX_PIXELS = 20_000  # width and height of a page
+MAX_BYTES = 2**15  # maximum size of a message; only a view in a link exceeds about 100 bytes
+MAX_PIXELS = 20_000  # maximum width and height of a page
 _MAX_LENGTH = 1e6  # m
 _MAX_DEGREES = 1e6
 _MAX_COUNT = 2**31
@@ -20,7 +20,7 @@ _MAX_NUMBER = 1e300
 
 
 class PageMessage(BaseModel):
-    """Base class of all messages; unknown fields and wrong types are errors."""
+    """Base class of all messages. Unknown fields and wrong types are errors."""
 
     model_config = ConfigDict(extra="forbid", strict=True, frozen=True, allow_inf_nan=False)
 
@@ -32,23 +32,23 @@ _Degrees = Annotated[float, Field(gt=-_MAX_DEGREES, lt=_MAX_DEGREES)]
 _Index = Annotated[int, Field(ge=0, lt=_MAX_COUNT)]
 _Name = Annotated[str, Field(max_length=300)]
 _Path = Annotated[str, Field(max_length=4096)]
-_Id = Annotated[str, Field(max_length=2000)]  # identifier of a widget: label and scopes
+_Id = Annotated[str, Field(max_length=2000)]  # identifier of a widget, from scopes and label
 
 
 class Got(PageMessage):
-    """The browser has received a state."""
+    """Message sent when the browser has received a state."""
 
     t: Literal["got"]
 
 
 class Control(PageMessage):
-    """The user takes control of the page."""
+    """Message sent when the user takes control of the page."""
 
     t: Literal["control"]
 
 
 class PageSize(PageMessage):
-    """Size of the image and width of the page, pixels."""
+    """Message with the width and height of the image, and the width of the page, in pixels."""
 
     t: Literal["size"]
     w: _Pixels
@@ -57,7 +57,7 @@ class PageSize(PageMessage):
 
 
 class CameraMessage(PageMessage):
-    """The camera; `fixed` is the index of a scene camera, or -1 for a free camera."""
+    """Message with the camera. `fixed` is the index of a scene camera, or -1 for a free camera."""
 
     t: Literal["camera"]
     fixed: Annotated[int, Field(ge=-1, lt=_MAX_COUNT)]
@@ -68,7 +68,7 @@ class CameraMessage(PageMessage):
 
 
 class PointerMessage(PageMessage):
-    """An event of the pointer at a pixel, from the upper left corner of the image."""
+    """Message about a pointer event. The upper left corner of the image is the pixel (0, 0)."""
 
     t: Literal["pointer"]
     kind: Literal["press", "release", "move", "leave"]
@@ -80,30 +80,30 @@ class PointerMessage(PageMessage):
 
 
 class Wheel(PageMessage):
-    """A rotation of the wheel, in notches away from the user."""
+    """Message about the mouse wheel. `n` is the number of notches away from the user."""
 
     t: Literal["wheel"]
     n: _Pixel
 
 
 class HoldMessage(PageMessage):
-    """The user holds a finger still on the screen."""
+    """Message sent when the user holds a finger still on the screen."""
 
     t: Literal["hold"]
 
 
 class KeyMessage(PageMessage):
-    """The user has pressed a key or a combination of keys."""
+    """Message sent when the user has pressed a key or a combination of keys."""
 
     t: Literal["key"]
     key: Annotated[str, Field(max_length=40)]
     repeat: bool = False
 
 
-class Card(PageMessage):
-    """A click on a text over the image: kind and index of its item, and the pixel of the pointer.
+class TextClick(PageMessage):
+    """Message about a click on a text over the image, with the kind and index of its item.
 
-    With the keyboard, the pixel is the center of the text.
+    The pixel is the position of the pointer. For the keyboard, it is the center of the text.
     """
 
     t: Literal["card"]
@@ -115,7 +115,7 @@ class Card(PageMessage):
 
 
 class Widget(PageMessage):
-    """The user has changed or pressed a widget of a panel."""
+    """Message sent when the user has changed or pressed a widget of a panel."""
 
     t: Literal["widget"]
     tree: _Name
@@ -129,7 +129,7 @@ class Widget(PageMessage):
 
 
 class Fold(PageMessage):
-    """The user opens or closes a section of a panel."""
+    """Message sent when the user opens or closes a section of a panel."""
 
     t: Literal["fold"]
     tree: _Name
@@ -138,28 +138,28 @@ class Fold(PageMessage):
 
 
 class CloseArea(PageMessage):
-    """The user closes an area beside the image."""
+    """Message sent when the user closes an area beside the image."""
 
     t: Literal["close"]
     area: _Name
 
 
 class ViewMessage(PageMessage):
-    """A view from a link, see `ViewState.from_text`."""
+    """Message with a view that a link contains, in the format of `ViewState`."""
 
     t: Literal["view"]
     text: Annotated[str, Field(max_length=20_000)]
 
 
 class OpenTile(PageMessage):
-    """The user opens a tile of the start page."""
+    """Message sent when the user opens a tile of the start page."""
 
     t: Literal["tile"]
     number: _Index
 
 
 class OpenShown(PageMessage):
-    """The user opens a scene that shows received packets."""
+    """Message sent when the user opens a scene for packets that are received already."""
 
     t: Literal["shown"]
     scene: _Path
@@ -175,7 +175,7 @@ ForScene = (
     | Wheel
     | HoldMessage
     | KeyMessage
-    | Card
+    | TextClick
     | Widget
     | Fold
     | CloseArea
@@ -185,14 +185,14 @@ ForStartPage = ForAll | OpenTile | OpenShown
 
 
 class Left(NamedTuple):
-    """The browser in control has disconnected or lost control. The server creates this message."""
+    """Message of the server: the browser in control has disconnected or lost control."""
 
 
 class MessageSender(NamedTuple):
     """The browser that has sent a message.
 
     Attributes:
-        id: number of its connection.
+        id: number of the browser's connection.
         is_local: whether the connection comes from this machine, see `guard.is_local`.
     """
 
@@ -201,14 +201,14 @@ class MessageSender(NamedTuple):
 
 
 class Received(NamedTuple):
-    """A message with its sender."""
+    """A message of a browser, and its sender."""
 
     message: PageMessage | Left
     sender: MessageSender
 
 
 class MessageReader:
-    """Parses the messages of `ForScene` or `ForStartPage`."""
+    """Parses messages of browsers. `kinds` is `ForScene` or `ForStartPage`."""
 
     def __init__(self, kinds: Any) -> None:
         self.kinds: tuple[type[PageMessage], ...] = get_args(kinds)
@@ -216,7 +216,7 @@ class MessageReader:
         self._adapter: TypeAdapter[PageMessage] = TypeAdapter(found)
 
     def read(self, message: str | bytes) -> PageMessage | None:
-        # The parser limits nesting. Longer messages are not parsed.
+        # The parser limits the nesting.
         if not isinstance(message, str) or len(message) > MAX_BYTES:
             return None
         try:

@@ -1,4 +1,4 @@
-"""`PageInput`: handles the messages of the browser in control as clicks, drags and keys."""
+"""`PageInput`: converts messages of the browser in control to clicks, drags and actions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,6 @@ from ..session.input import Clicked, Event, Mouse, Moved
 from ..session.view_state import ViewState
 from .messages import (
     CameraMessage,
-    Card,
     CloseArea,
     Fold,
     HoldMessage,
@@ -27,6 +26,7 @@ from .messages import (
     PageSize,
     PointerMessage,
     Received,
+    TextClick,
     ViewMessage,
     Wheel,
     Widget,
@@ -43,7 +43,8 @@ class PageInput:
     Attributes:
         wrong: number of messages about items that do not exist.
         sender: browser whose message is being handled.
-        is_dragging: whether a tool handles the drag, so that the camera does not move.
+        is_dragging: whether a tool handles the drag. If so, the camera does not move.
+        is_on_handle: whether a drag handle is under the pointer.
     """
 
     def __init__(self, host: LiveHost, view: PageView, panels: PagePanels) -> None:
@@ -52,7 +53,7 @@ class PageInput:
         self.wrong = 0
         self.sender = MessageSender(0, is_local=False)
         self.is_dragging = self.is_on_handle = False
-        # A handler for each kind of `ForScene`, except the kinds that `Browsers` handles.
+        # `Browsers` handles all other kinds of `ForScene`.
         self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             PageSize: self._size,
             CameraMessage: self._camera,
@@ -60,7 +61,7 @@ class PageInput:
             Wheel: self._wheel,
             HoldMessage: self._hold,
             KeyMessage: self._key,
-            Card: self._card,
+            TextClick: self._text_click,
             Widget: self._widget,
             Fold: self._fold,
             CloseArea: self._close,
@@ -95,11 +96,11 @@ class PageInput:
         self._update_view()
 
     def _update_view(self) -> None:
-        """Updates the view, so that the next click uses the current camera."""
+        # The next click must use the current camera.
         self._host.decor.view = self._page_view.of_data(self._host.data)
 
     def _pointer(self, message: PointerMessage) -> None:
-        if message.kind == "leave":  # the finger was lifted or replaced, which releases nothing
+        if message.kind == "leave":  # A finger has left the screen, but no button was released.
             self._leave()
             return
         at = self._pixel(message)
@@ -120,7 +121,7 @@ class PageInput:
             self.is_dragging = False
             pointer.dragging.release()
 
-    def _pixel(self, message: PointerMessage | Card) -> Pixel:
+    def _pixel(self, message: PointerMessage | TextClick) -> Pixel:
         return message.x, self._page_view.size[1] - message.y
 
     def _is_inside(self, at: Pixel) -> bool:
@@ -152,7 +153,7 @@ class PageInput:
             return
         self._host.actions.press(message.key, is_repeat=message.repeat)
 
-    def _card(self, message: Card) -> None:
+    def _text_click(self, message: TextClick) -> None:
         picked = picked_of(self._host.world, Kind(message.kind), message.item)
         self._click(Clicked(*self._pixel(message), time.monotonic(), message.shift), picked)
 

@@ -1,4 +1,4 @@
-"""`PagePanels`: builds the panels of a page with the code for windows, as trees of nodes."""
+"""`PagePanels`: builds the panels of a page as trees of nodes, with the same code as windows."""
 
 from __future__ import annotations
 
@@ -17,15 +17,15 @@ from .sections import Sections
 
 REQUEST = "request"  # name of the tree with the dialog about the programs of a file
 _EM = 14.0  # text height in `page.css`, pixels
-_INTERVAL = 1.0 / 15.0  # s between two updates of panels
-_NARROW = 800  # pixels; in a narrower page, the panel is initially hidden
-# In text heights: width of the panel, maximum width and height of an area, frame height of an area.
+_INTERVAL = 1.0 / 15.0  # time between two updates of panels, s
+_NARROW = 800  # page width below which the panel is initially hidden, pixels
+# The lengths below are in text heights. `_FRAME` is the height of title and margins of an area.
 _PANEL_WIDTH, _AREA_WIDTH, _AREA_HEIGHT, _FRAME = 23.0, 32.0, 48.0, 4.0
-_TALL = 400.0  # height of a panel, which scrolls
+_TALL = 400.0  # height of a panel with a scroll bar
 
 
 class PagePanels:
-    """Builds the panels of a page and puts them into the sections of the page."""
+    """Builds the panels of a page, and writes them to the page's `Sections`."""
 
     def __init__(self, host: LiveHost, sections: Sections) -> None:
         self._host, self._sections = host, sections
@@ -54,12 +54,12 @@ class PagePanels:
     def put(
         self, frame_rate: float, geoms: int, size: tuple[int, int], *, is_local: bool | None = None
     ) -> None:
-        """Puts the panels, less often than frames, but immediately after user input.
+        """Updates the panels about 15 times per second, and immediately after user input.
 
         Args:
-            frame_rate: frames per second.
-            geoms: number of geoms of decor.
-            size: size of the image, pixels.
+            frame_rate: number of frames per second.
+            geoms: number of geoms of overlays.
+            size: width and height of the image in pixels.
             is_local: whether the browser in control is on this machine; None if no browser is in
                 control.
         """

@@ -1,6 +1,6 @@
-"""`PageState`: writes the displayed state of each frame to the sections of a page.
+"""`PageState`: writes the displayed state of each frame to the `Sections` of a page.
 
-Pages show the same poses, values and decor as windows. Text that windows place in pixels
+Pages show the same poses, values and overlays as windows. Text that windows place in pixels
 (billboards, labels, notes) is sent with a position in the world, and the browser lays it out.
 """
 
@@ -26,16 +26,16 @@ from ..player.frame import FrameTaker, line_text
 from ..player.packing import poses, quaternions_of
 from .sections import Sections
 
-_KEYS = ["joint_angles"]  # joint values that the page uses
-_COLUMNS = re.compile(r" {2,}")  # separates the columns of a line
-_TEXT_DIGITS = 4  # decimals of text positions in m
+_KEYS = ["joint_angles"]  # names of the joint values that pages need
+_COLUMNS = re.compile(r" {2,}")  # separator between the columns of a line
+_TEXT_DIGITS = 4  # number of decimals of text positions in m
 
 
 class PageState(FrameTaker):
-    """Puts each displayed frame into the sections of a page.
+    """Writes each displayed frame to the `Sections` of a page.
 
     Attributes:
-        count: number of geoms of decor in the last frame.
+        count: number of geoms of overlays in the last frame.
     """
 
     def __init__(self, world: WorldView, sections: Sections) -> None:
@@ -48,7 +48,7 @@ class PageState(FrameTaker):
     def begin(
         self, data: mujoco.MjData, camera: mujoco.MjvCamera, needed: float, title: str
     ) -> None:
-        """Puts the constant sections: shapes, joints and cameras."""
+        """Writes the constant sections: shapes, joints and cameras."""
         self._sections.put("valueKeys", _KEYS)
         self._sections.put("run", encode(capture_pose(self._world, data, camera, needed), title))
 
@@ -58,13 +58,13 @@ class PageState(FrameTaker):
         visible = depth[depth > frame.view.near]
         self._depth = float(np.median(visible)) if len(visible) else 1.0
         self._shown_billboards = [
-            card for group in self.billboards for card in self._billboards_of(frame, group)
+            each for group in self.billboards for each in self._billboards_of(frame, group)
         ]
 
     def put(self, data: mujoco.MjData, decor: SceneDecor) -> None:
-        """Puts the values of the last drawn frame into the sections of the page."""
+        """Writes the last drawn frame, which must show the state in `data`."""
         frame, put = self.frame, self._sections.put
-        if frame is None:  # the decor has not been drawn yet
+        if frame is None:  # No frame has been drawn yet.
             return
         found, toggles = self.take(data), frame.toggles
         put("time", round(float(frame.data.time), 4))
@@ -82,7 +82,7 @@ class PageState(FrameTaker):
         else:
             put("hover", None)
         put("selected", -1 if toggles.selected is None else int(toggles.selected))
-        # Rounded as in files, so that tiny changes are not sent.
+        # Poses are rounded as in files, so that tiny changes are not sent.
         places = np.round(found.poses[:, :3] / METRE_STEP) * METRE_STEP
         turns = np.round(found.poses[:, 3:] / ROTATION_STEP).astype(np.int16)
         put("poses", places.astype(np.float32).tobytes() + turns.tobytes())
@@ -95,7 +95,7 @@ class PageState(FrameTaker):
             put("soft", found.soft.vertices.astype(np.float32))
         rows = np.concatenate([found.soft.tendons, decor.drawing.rows(data, toggles)])
         self._put_geoms(*found.geoms, rows)
-        # The remaining panels are notes about stale data, and last, the name at the pointer.
+        # The remaining panels are notes about stale data. The last one is the name at the pointer.
         notes = decor.panels[: len(decor.panels) - (hover is not None)]
         self._put_labels(frame.view, found.labels, [*self.beside, *notes])
 
@@ -155,7 +155,7 @@ class PageState(FrameTaker):
                 if is_of_joint
                 else self._in_world(frame.view, group.anchors[k])
             )
-            title, lines = card_lines(group.texts[k])
+            title, lines = billboard_lines(group.texts[k])
             share = float(group.share[k])
             value = float(frame.arrow_values[item]) if is_of_joint else 0.0
             found.append(
@@ -174,10 +174,10 @@ class PageState(FrameTaker):
         return found
 
 
-def card_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
-    """Returns the title of a billboard, and the label and value of each line.
+def billboard_lines(texts: list[bytes]) -> tuple[str, list[list[str]]]:
+    """Splits the text of a billboard into its title, and the label and value of each line.
 
-    The first line starts with the title. Two or more spaces separate columns.
+    Two or more spaces separate columns. The first column is the title.
     """
     title, lines = "", []
     for number, text in enumerate(texts):

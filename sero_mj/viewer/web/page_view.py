@@ -1,4 +1,4 @@
-"""`PageView`: the camera of a page. The browser in control moves it; other browsers follow."""
+"""`PageView`: the camera of a page, which the browser in control moves."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..image.camera import Navigator
 from ..image.framing import stand_back
 from .sections import Sections
 
-_SIZE = (1280, 800)  # size of the image before a browser has reported its own, pixels
+_SIZE = (1280, 800)  # size of the image in pixels before a browser sends its own size
 _LINE = 20  # height of a line of text in `page.css`, pixels
 _FONT = Font(_LINE, DEFAULT_FONT.widths * _LINE / DEFAULT_FONT.height)
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
@@ -23,15 +23,15 @@ _MAX_LENGTH = 1e6  # m
 
 
 class PageView:
-    """The camera of a page, and the size of its image."""
+    """The camera of a page, and the size of the image in the browser in control."""
 
     def __init__(self, world: WorldView, navigator: Navigator) -> None:
         self._world = world
         self.navigator = navigator
         self.size = _SIZE
-        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # only its camera is used
-        self._last: tuple[object, ...] = ()  # camera that browsers have received
-        self._serial = 0  # number of camera moves by the server
+        self._scene = mujoco.MjvScene(world.model, maxgeom=0)  # Only its camera is needed.
+        self._last: tuple[object, ...] = ()  # camera parameters that browsers have received
+        self._serial = 0  # number of camera motions by the server
 
     def of_data(self, data: mujoco.MjData) -> ImageView:
         scene, camera, (width, height) = self._scene, self.navigator.camera, self.size
@@ -40,12 +40,12 @@ class PageView:
         return ImageView.of_scene(scene, width, height, _FONT)
 
     def take(self, fixed: int, look_at: Sequence[float], numbers: Sequence[float]) -> None:
-        """Sets the camera that the browser in control has sent, without sending it back.
+        """Sets the camera to the parameters that the browser in control has sent.
 
         Args:
             fixed: index of a scene camera; -1 for a free camera.
-            look_at: look-at point (3,), m; ignored while the camera follows a frame.
-            numbers: distance in m, azimuth and elevation in degrees.
+            look_at: look-at point, shape (3,), m; ignored while the camera follows a frame.
+            numbers: distance in m, azimuth in degrees and elevation in degrees.
 
         Raises:
             ValueError: the camera does not exist, or a number is not finite.
@@ -70,7 +70,7 @@ class PageView:
                 camera.elevation, *looks_at)  # fmt: skip
 
     def put(self, sections: Sections, holder: int | None) -> None:
-        """Puts the camera, which the browser `holder` ignores unless the server has moved it."""
+        """Writes the camera. The browser in control ignores it unless the server has moved it."""
         camera, key, by = self.navigator.camera, self._key(), holder
         if key != self._last:
             self._last, by = key, None

@@ -1,7 +1,7 @@
 """`Sections`: the state of a page in named parts. Browsers receive only the changed parts.
 
 A message contains the newest value of each part that has changed since the last message. A slow
-browser may therefore skip states, but misses no part. `js/src/sections.js` parses messages.
+browser skips intermediate states, but receives every part. `js/src/sections.js` parses messages.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ from typing import Any
 import numpy as np
 
 _ALIGNED = 4  # alignment of binary parts, bytes
-_CACHED = 4  # number of cached messages, for browsers with the same version
+_CACHED = 4  # number of cached messages, which several browsers may need
 
 
 class Sections:
-    """The parts of a page's state. One thread puts parts, and another thread takes messages."""
+    """The state of a page. One thread writes named parts, and another thread reads messages."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._version = 0
-        # Version and contents by name: JSON text or bytes.
+        # For each name: version and contents, as JSON text or bytes.
         self._found: dict[str, tuple[int, str | bytes]] = {}
-        self._messages: dict[tuple[int, int], bytes] = {}  # by old and new version
+        self._messages: dict[tuple[int, int], bytes] = {}  # keys: old and new version
 
     @property
     def version(self) -> int:
         return self._version
 
     def put(self, name: str, value: Any) -> None:
-        """Sets a part; arrays and bytes are sent unchanged, everything else as JSON."""
+        """Sets a part. Arrays and bytes are sent unchanged, and other values as JSON."""
         if isinstance(value, np.ndarray):
             value = value.tobytes()
         content = value if isinstance(value, bytes) else _json(value)
@@ -43,7 +43,7 @@ class Sections:
                 self._found[name] = self._version, content
 
     def since(self, seen: int) -> tuple[bytes | None, int]:
-        """Returns a message with all changes since a version, or None, and the new version."""
+        """Returns a message with all parts changed since a version, and the new version."""
         with self._lock:
             now = self._version
             if seen == now:
@@ -61,7 +61,7 @@ class Sections:
 
 
 def message_of(parts: dict[str, str | bytes]) -> bytes:
-    """Returns a message of parts by name: JSON text or bytes."""
+    """Encodes a mapping from names of parts to JSON text or bytes as a message."""
     values = [f"{_json(name)}:{part}" for name, part in parts.items() if isinstance(part, str)]
     payloads = {name: part for name, part in parts.items() if isinstance(part, bytes)}
     lengths = _json([[name, len(part)] for name, part in payloads.items()])

@@ -1,6 +1,6 @@
-"""`PageServer`: serves the files, images, uploads and websocket of a page, behind a guard.
+"""`PageServer`: serves the files, images, uploads and websocket of a page on a separate thread.
 
-The server runs on a separate thread. Messages of browsers are queued until the page takes them.
+`guard.py` checks all requests. Messages of browsers are queued until the page handles them.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LOOPBACK = "127.0.0.1"
 ANY_ADDRESS = ("", "0.0.0.0", "::")
 _FIRST_PORT, _MAX_PORTS = 8080, 100
 _BACKLOG = 128  # maximum number of waiting connections
-_MAX_PART = 2**20  # bytes of an uploaded file per message; `messages` limits other messages
+_MAX_PART = 2**20  # maximum size of an upload message in bytes; `messages` limits all others
 _REQUEST_TIMEOUT = 10.0  # s
 _STATIC = Path(__file__).with_name("static")
 _TYPES = {
@@ -43,20 +43,21 @@ _TYPES = {
     ".jpg": "image/jpeg",
     ".json": "application/json",
 }
-_SHARED = ("access.js", "uploads.js", "uploads.css")  # files of all pages
-_WHICH = "/sero-mj/page"  # path that returns the name of the served page; needs the token
-# Second address that browsers may use for `localhost`, by the address of the server.
+_SHARED = ("access.js", "uploads.js", "uploads.css")  # files that all pages need
+_PAGE_NAME = "/sero-mj/page"  # path that returns the name of the served page; needs the token
+# For each address of a server: the other address that browsers may use for `localhost`.
 _TWINS = {"127.0.0.1": "::1", "::1": "127.0.0.1", "0.0.0.0": "::1"}
 
 Talk = Callable[[ServerConnection], Awaitable[None]]
 
 
 class PageAnswer(NamedTuple):
-    """The body of a response.
+    """The body of an HTTP response.
 
     Attributes:
-        ending: file extension, which determines the type, such as `.html`.
-        is_cached: whether browsers may cache the body and validate it by the ETag.
+        body: contents of the response.
+        ending: file extension, such as `.html`, which determines the content type.
+        is_cached: whether browsers may cache the body and validate it with the ETag.
     """
 
     body: bytes
@@ -65,17 +66,19 @@ class PageAnswer(NamedTuple):
 
 
 class PageServer:
-    """Serves a page until it is closed.
+    """Serves a page until the server is closed.
 
     Args:
         page: HTML of the page, without secrets.
         files: mapping from names to contents of the page's files, without secrets.
-        talk: called with every connection to the websocket at `socket_path`.
-        may_upload: function that returns why an upload is refused, or None, see `take_files`.
-        on_file: called with each file that was dropped on the page.
-        find: function that returns the response for another path and query, or None.
-        port: port to listen on, 0 for the first free port from 8080, or a listener, which outlives
-            the page.
+        talk: coroutine function called with every connection to the page's websocket.
+        socket_path: path of the websocket.
+        may_upload: function that returns the reason why an upload is refused, or None.
+        on_file: function called with each file that the user has dropped on the page.
+        find: function that returns the response for any other path and query, or None.
+        host: address to listen on.
+        port: port to listen on; 0 for the first free port from 8080. Pages that are served one
+            after the other share a `PageListener`.
         token: token of the page; True to create a token, False for none.
 
     Raises:
@@ -132,7 +135,7 @@ class PageServer:
 
     @property
     def plain_url(self) -> str:
-        """Address of the page without its token, for browsers that have opened it before."""
+        """Address of the page without the token, for browsers that have opened the page before."""
         return page_url(self._host, self.port)
 
     @property
@@ -141,7 +144,7 @@ class PageServer:
 
     @property
     def urls(self) -> list[str]:
-        """All addresses of the page, including one for other machines if they can reach it."""
+        """All addresses of the page. If other machines can open it, the second one is for them."""
         others = [page_url(socket.gethostname(), self.port, self.token)]
         return [self.url] + others * (self._host in ANY_ADDRESS)
 
@@ -150,9 +153,9 @@ class PageServer:
         return self._thread.is_alive()
 
     def call(self, act: Callable[[], object]) -> None:
-        """Schedules a function on the server's thread."""
+        """Schedules a function call on the server's thread."""
         if self.loop is not None:
-            with contextlib.suppress(RuntimeError):  # the loop has just ended
+            with contextlib.suppress(RuntimeError):  # The loop may have ended.
                 self.loop.call_soon_threadsafe(act)
 
     def close(self) -> None:
@@ -174,7 +177,7 @@ class PageServer:
                     max_size=_MAX_PART,
                     process_request=self._request,
                     process_response=self._response,
-                    # A slow link may take any time to receive a response, see `_Connection`.
+                    # A slow network may need any time for a response, see `_Connection`.
                     open_timeout=None,
                     create_connection=_Connection,
                     extensions=[DEFLATE],
@@ -210,7 +213,7 @@ class PageServer:
             return PageAnswer(self._page, ".html")
         if path in self._files:
             return PageAnswer(self._files[path], Path(path).suffix, is_cached=True)
-        if path == _WHICH:
+        if path == _PAGE_NAME:
             return PageAnswer(json.dumps({"page": self._path}).encode(), ".json")
         return self._find(path, query)
 
@@ -223,7 +226,7 @@ class PageServer:
 
 
 class _Connection(ServerConnection):
-    """A connection with a timeout for sending its request, but not for receiving the response."""
+    """A connection with a time limit for its request, but without one for the response."""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(transport)
@@ -236,14 +239,14 @@ class _Connection(ServerConnection):
 
 @functools.cache
 def static_text(name: str) -> str:
-    """Returns a file of the folder `static`."""
+    """Returns the contents of a text file in the folder `static`."""
     return (_STATIC / name).read_text("utf-8")
 
 
 class PageListener:
-    """Sockets that keep listening at an address while pages are served one after the other.
+    """Sockets that listen at an address while pages are served one after the other.
 
-    Between two pages, no other process can take the port and receive the token that browsers send
+    Between two pages, no other process can use the port and receive the token that browsers send
     there. Connections wait until the next page is served.
 
     Raises:
@@ -264,7 +267,7 @@ class PageListener:
 
 
 def listen(host: str, port: int) -> list[socket.socket]:
-    """Returns listening sockets at an address and, for `localhost`, also at the other IP version.
+    """Opens listening sockets at an address. For `localhost`, both IP versions are opened.
 
     Raises:
         RenderError: no port is free, or the address cannot be used.
@@ -294,7 +297,7 @@ def _listening(family: int, address: tuple[Any, ...]) -> socket.socket:
     try:
         found.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         found.bind(address)
-        # Immediately: until a process listens, others can bind the same port.
+        # The socket must listen at once, because others can bind the same port until then.
         found.listen(_BACKLOG)
     except OSError:
         found.close()
@@ -311,25 +314,25 @@ def _twin(address: str, port: int) -> list[socket.socket]:
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
             raise
-        return []  # this machine has only one IP version
+        return []  # This machine has only one IP version.
 
 
 def check_address(host: str) -> str:
-    """Returns the IP address of a host name; raises RenderError if it is not of this machine."""
+    """Returns the IP address of a host name. Raises RenderError if this machine cannot use it."""
     try:
         family, *_, address = socket.getaddrinfo(host, 0, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, socket.SOCK_STREAM) as trial:
             trial.bind(address)
     except (OSError, UnicodeError) as error:
         raise RenderError(
-            f"cannot serve a page at {host!r}: this machine has no such address ({error}); use "
+            f"cannot serve a page at {host!r}: this machine has no such address ({error}). Use "
             f"{LOOPBACK} for browsers on this machine, or 0.0.0.0 for all browsers"
         ) from error
     return str(address[0])
 
 
 def socket_url(url: str, path: str) -> str:
-    """Returns the address of a websocket of a page at `url`, with the token of the page."""
+    """Returns the address of a page's websocket, including the token that `url` contains."""
     parts = urlsplit(url)
     return urlunsplit(("ws", parts.netloc, path, parts.query, ""))
 

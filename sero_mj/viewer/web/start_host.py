@@ -1,4 +1,4 @@
-"""`StartHost`: serves the start page as a web page."""
+"""`StartHost`: serves the start page to browsers."""
 
 from __future__ import annotations
 
@@ -31,21 +31,21 @@ from .server import PageAnswer, PageListener, PageServer, static_text
 from .uploads import NOT_IN_CONTROL, drops
 
 _LIVE, _TILES, _PICTURES = "/sero-mj/start", "/sero-mj/tiles", "/sero-mj/pictures/"
-_REPORT_INTERVAL = 0.4  # s between updates of the expected packets
-_POLL_INTERVAL = 0.05  # s between checks for messages
+_REPORT_INTERVAL = 0.4  # time between updates of the expected packets, s
+_POLL_INTERVAL = 0.05  # time between checks for messages, s
 
 
 class StartHost:
-    """Serves the start page until something is opened.
+    """Serves the start page to browsers until the user opens a scene, robot or recording.
 
-    Any number of browsers can connect. Only the browser in control can open a view or file.
+    Several browsers can connect. Only the browser in control can open a view or file.
 
     Args:
         opener: function that opens the chosen view or file.
         listening: monitor of the ports of sources.
         host: address to listen on.
         port: port to listen on; 0 for the first free port from 8080.
-        token: token of the page, see `PageServer`.
+        token: token of the page; True to create a token, False for none.
 
     Raises:
         RenderError: the page cannot be served at this address and port.
@@ -65,7 +65,7 @@ class StartHost:
         self._sections = Sections()
         self.browsers = Browsers(self._sections, ForStartPage)
         self.sender = MessageSender(0, is_local=False)
-        # A handler for each kind of `ForStartPage`, except the kinds that `Browsers` handles.
+        # `Browsers` handles all other kinds of `ForStartPage`.
         self._acts: dict[type[PageMessage | Left], Callable[[Any], None]] = {
             OpenTile: self._open_tile,
             OpenShown: self._open_shown,
@@ -88,7 +88,7 @@ class StartHost:
         )
 
     def run(self) -> Mirror | None:
-        """Returns the mirror of the chosen scene, or None if the server has ended."""
+        """Serves the page, and returns the mirror of the chosen scene, or None without a choice."""
         while self.server.is_running:
             for message, sender in self.browsers.take():
                 self.sender = sender
@@ -167,7 +167,7 @@ class StartHost:
         elif now - self._reported < _REPORT_INTERVAL:
             return
         elif not notice.is_shown:
-            self._sections.put("notice", None)  # for browsers that connect later
+            self._sections.put("notice", None)  # Browsers that connect later need no old message.
         self._reported = now
         self._sections.put("awaited", [_as_json(each) for each in self._page.expected()])
         self.server.call(self.browsers.wake)

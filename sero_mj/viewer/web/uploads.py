@@ -1,7 +1,7 @@
-"""Receives and stores files that are dropped on a page.
+"""Receives and stores files that the user drops on a page.
 
-Browsers send the contents of files without paths. A robot with separate mesh files must be dropped
-as a folder, or together with the meshes. A drop is deleted when this process ends, when the dropped
+Browsers do not send the paths of dropped files. A robot with separate mesh files must therefore be
+dropped as a folder or together with the meshes. A drop is deleted when this process ends, when the
 file cannot be opened, or when it is no longer shown and another drop needs the space.
 """
 
@@ -29,17 +29,17 @@ from ...base.paths import (
 )
 
 FILES = "/sero-mj/files"  # path of the upload websocket
-MAX_BYTES, MAX_FILES = 500_000_000, 2000  # limits of all drops of this process together
+MAX_BYTES, MAX_FILES = 500_000_000, 2000  # limits for all drops of this process together
 _MAX_PATH, _MAX_DEPTH = 400, 20
 NOT_IN_CONTROL = "another browser has control of this page; take control, then drop the files again"
-_TIMEOUT = 60.0  # s for the next part of a file
+_TIMEOUT = 60.0  # maximum time until the next part of a file, s
 
-# Function that returns why an upload with the key of a connection is refused, or None.
+# Function that receives the key of a connection, and returns why its upload is refused, or None.
 MayUpload = Callable[[str], str | None]
 
 
 def is_for_files(request: Request) -> bool:
-    """Whether a request comes from the upload script."""
+    """Returns whether a request comes from the upload script."""
     return request.path.partition("?")[0] == FILES
 
 
@@ -49,13 +49,13 @@ class _Size(NamedTuple):
 
 
 class Drops:
-    """All files that were dropped on pages of this process, with a common size limit."""
+    """All files that users have dropped on pages of this process. They share one size limit."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._sizes: dict[Path, _Size] = {}  # by folder, oldest first
-        self._shown: set[Path] = set()  # folders
-        self._arriving: set[Path] = set()  # folders that are being received, or not shown yet
+        self._sizes: dict[Path, _Size] = {}  # keys: folders, oldest first
+        self._shown: set[Path] = set()  # folders of displayed files
+        self._arriving: set[Path] = set()  # folders that are being received or not shown yet
 
     @property
     def size(self) -> tuple[int, int]:
@@ -63,10 +63,10 @@ class Drops:
         return sum(each.files for each in sizes), sum(each.bytes for each in sizes)
 
     def reserve(self, files: int, size: int) -> Path:
-        """Returns a new folder for a drop; deletes drops that are not shown if space is needed.
+        """Creates a folder for a drop. If space is needed, drops that are not shown are deleted.
 
         Raises:
-            UsageError: there is not enough space beside drops that are shown or being received.
+            UsageError: there is not enough space, because other drops are shown or being received.
         """
         with self._lock:
             while not self._has_space(files, size):
@@ -75,8 +75,8 @@ class Drops:
                     stored = sum(each.bytes for each in self._sizes.values()) / 1e6
                     raise UsageError(
                         f"no space for {files} files of {size / 1e6:.0f} MB: this viewer already "
-                        f"stores {len(self._sizes)} drops of {stored:.0f} MB; the limit is "
-                        f"{MAX_FILES} files of {MAX_BYTES / 1e6:.0f} MB together. "
+                        f"stores {len(self._sizes)} drops of {stored:.0f} MB. The limit is "
+                        f"{MAX_FILES} files and {MAX_BYTES / 1e6:.0f} MB in total. "
                         "Restart the viewer, or open the file with `sero-mj view FILE`"
                     )
                 self._remove(next(each for each in self._sizes if each in unused))
@@ -86,13 +86,13 @@ class Drops:
             return folder
 
     def discard(self, path: Path | str) -> None:
-        """Deletes the drop that contains a file, unless the drop is shown."""
+        """Deletes the drop that contains a file, unless the viewer shows it."""
         with self._lock:
             for folder in self._folders([path]) - self._shown:
                 self._remove(folder)
 
     def show(self, *paths: Path | str) -> None:
-        """Sets the files that are shown. All other drops may be deleted."""
+        """Sets the files that the viewer shows. All other drops may be deleted."""
         with self._lock:
             self._shown = self._folders(paths)
             self._arriving.clear()
@@ -117,13 +117,14 @@ drops = Drops()
 async def take_files(
     connection: Any, may_upload: MayUpload, on_file: Callable[[Path], None]
 ) -> None:
-    """Stores the files that the upload script sends, or sends back an error.
+    """Receives and stores the files that the upload script sends, or sends back an error.
 
     Args:
-        connection: a connection of `websockets`; its first message lists the files, the others are
-            contents.
-        may_upload: called with the key of the first message, also while contents arrive.
-        on_file: called with the file to open.
+        connection: `websockets` connection. Its first message lists the files, and the other
+            messages are their contents.
+        may_upload: function that checks the key in the first message. It is called again while
+            contents arrive.
+        on_file: function called with the file to open.
     """
     try:
         try:
@@ -133,7 +134,7 @@ async def take_files(
         else:
             on_file(path)
             await connection.send(json.dumps({"opening": path.name}))
-    except (ConnectionClosed, TimeoutError):  # the page was closed
+    except (ConnectionClosed, TimeoutError):  # The user has closed the page.
         return
 
 
@@ -196,11 +197,11 @@ class _Listed(BaseModel):
 
 
 class Listed(NamedTuple):
-    """The list of files of a drop.
+    """The list of files of a drop, which the upload script sends first.
 
     Attributes:
-        key: key of the connection in control.
-        sizes: mapping from the path of each file in the drop to the file size in bytes.
+        key: secret key of the connection in control.
+        sizes: mapping from paths of files to their sizes in bytes.
     """
 
     key: str
@@ -208,7 +209,7 @@ class Listed(NamedTuple):
 
 
 def read_list(message: str | bytes) -> Listed:
-    """Parses a message with the list of files of a drop; raises UsageError if it is invalid."""
+    """Parses a message with the list of files of a drop. Raises UsageError if it is invalid."""
     try:
         listed = _Listed.model_validate_json(message)
     except (ValidationError, UnicodeEncodeError):
@@ -219,9 +220,10 @@ def read_list(message: str | bytes) -> Listed:
     if not found or min(found.values()) < 0:
         raise UsageError("the drop contains no file; drop a robot, a scene or a recording")
     if sum(found.values()) > MAX_BYTES:
-        size, most = sum(found.values()) / 1e6, MAX_BYTES / 1e6
+        size, limit = sum(found.values()) / 1e6, MAX_BYTES / 1e6
         raise UsageError(
-            f"found {size:.0f} MB; expected at most {most:.0f}: open it with `sero-mj view FILE`"
+            f"found {size:.0f} MB; expected at most {limit:.0f} MB. "
+            "Open the file with `sero-mj view FILE`"
         )
     return Listed(listed.key, found)
 
@@ -236,10 +238,10 @@ def _checked(text: str) -> PurePosixPath:
 
 
 def main_file(paths: Sequence[PurePosixPath]) -> PurePosixPath:
-    """Returns the file of a drop to open: the file nearest to the top folder.
+    """Returns the file of a drop that must be opened.
 
-    If there are several of these, returns the file with the name of a robot file or of its folder,
-    or the only TOML file.
+    This is the file nearest to the top folder. If there are several candidates, those with the name
+    of a robot file, of a scene file or of their folder are preferred, and then the only TOML file.
 
     Raises:
         UsageError: no file can be opened, or the choice is ambiguous.

@@ -1,4 +1,4 @@
-"""`Chrome`: status line, timeline, areas, panel and help of a window."""
+"""`Chrome`: the status line, timeline, areas, panel and help of a window."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .glfw_window import GlWindow
 from .imgui_layer import ImguiLayer
 
 _HINT = "H help"
-# Distances from the upper edge of the image, in lines of the window's text.
+# These distances from the upper edge of the image are in lines of the window's text.
 _MESSAGE_TOP, _ONGOING_TOP, _HANDLE_TOP = 2.5, 0.5, 0.8
 _BESIDE_HANDLE = 2.0  # width of the panel button, in lines
 _PANEL = 21.5  # width of the panel, in text heights
@@ -38,7 +38,7 @@ class Chrome(ImguiLayer):
     """The user interface around and over the image of a window.
 
     Attributes:
-        covered: width of the panel at the left edge of the image, pixels.
+        covered: width in pixels that the panel covers at the left edge of the image.
     """
 
     def __init__(self, gl: GlWindow, host: LiveHost, columns: Sequence[Sequence[Row]]) -> None:
@@ -119,7 +119,7 @@ class Chrome(ImguiLayer):
         wide = min(imgui.calc_text_size(piece[0]).x + padding + 1, max(room, 1.0))
         middle = image.left + (self.covered + image.width) / 2
         imgui.set_next_window_pos(ImVec2(round(middle - wide / 2), round(top)))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))  # height of the text
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # The text determines the height.
         imgui.begin(name, None, _NOTE_FLAGS)
         self.widgets.text(*piece)
         imgui.end()
@@ -141,7 +141,7 @@ class Chrome(ImguiLayer):
         room = max(_MAX_PANEL * (height - bottom) - margin, 100.0)
         wide = round(min(_PANEL * self.text_height, 0.6 * width))
         imgui.set_next_window_pos(ImVec2(margin, margin))
-        imgui.set_next_window_size(ImVec2(wide, 0.0))  # height of the contents, limited below
+        imgui.set_next_window_size(ImVec2(wide, 0.0))  # The contents determine the height.
         imgui.set_next_window_size_constraints(ImVec2(wide, 0.0), ImVec2(wide, room))
         title = self._host.world.scene.name
         shown, is_open = imgui.begin(f"{title}###panel", True, _PANEL_FLAGS)
@@ -165,7 +165,7 @@ class Chrome(ImguiLayer):
         others = self._host.others
         shown, is_open = self._dialog(f"{dialogs.REQUEST_TITLE}###request", dialogs.REQUEST_WIDTH)
         if shown:
-            others.build_dialog(self.widgets, can_allow=True)  # the user of a window is local
+            others.build_dialog(self.widgets, can_allow=True)  # The user of a window is local.
         if not is_open:
             others.dismiss()
         imgui.end()
@@ -184,17 +184,17 @@ class Chrome(ImguiLayer):
         return shown, bool(is_open)
 
 
-# Heights of status line and timeline. All lengths below are in lines of the window's text.
-_STATUS, _TIME = 1.6, 1.3
+# All lengths below are in lines of the window's text.
+_STATUS, _TIME = 1.6, 1.3  # heights of the status line and the timeline
 _AREA_SHARE = 0.34  # fraction of the width for the area beside the image
 _STRIP_SHARE = 0.36  # fraction of the height for the area below the image, in a narrow window
-_NARROW = 46.0  # in a narrower window, the area is below the image
+_NARROW = 46.0  # window width below which the area is below the image
 _MIN_STRIP = 10.0  # minimum height of the area below the image
 _MIN_AREA = 20.0  # minimum width of the area beside the image
 
 
 class Rect(NamedTuple):
-    """A rectangle in a window, pixels from its lower left corner."""
+    """A rectangle in a window, in pixels from the lower left corner of the window."""
 
     left: int
     bottom: int
@@ -203,7 +203,7 @@ class Rect(NamedTuple):
 
 
 class Places(NamedTuple):
-    """The parts of a window, None for each hidden part."""
+    """The rectangles of the parts of a window. A hidden part is None."""
 
     image: Rect
     area: Rect | None
@@ -214,11 +214,11 @@ class Places(NamedTuple):
 def arrange(
     size: tuple[int, int], text: int, *, has_status: bool, has_time: bool, has_area: bool
 ) -> Places:
-    """Returns the rectangles of the parts of a window, which do not overlap.
+    """Arranges the parts of a window, so that they do not overlap.
 
     Args:
-        size: size of the window, pixels.
-        text: height of a line of text, pixels.
+        size: width and height of the window in pixels.
+        text: height of a line of text in pixels.
     """
     width, whole = size
     low = round(_STATUS * text) if has_status else 0

@@ -11,25 +11,20 @@ import glfw
 from ..image.image_files import Pixels
 from ..image.typesetting import PlacedPanel
 
-# Constants of gl.h.
+# The file gl.h defines these constants.
 _ALL_ATTRIBUTES = 0x000FFFFF
 _BLEND, _ONE, _ONE_MINUS_ALPHA = 0x0BE2, 1, 0x0303
-_OFF = (
-    0x0B71,
-    0x0DE1,
-    0x0B60,
-    0x0BC0,
-    0x0C11,
-)  # depth test, 2D texture, fog, alpha test and scissor test
+# Depth test, 2D texture, fog, alpha test and scissor test.
+_OFF = (0x0B71, 0x0DE1, 0x0B60, 0x0BC0, 0x0C11)
 _RGB, _RGBA, _UNSIGNED_BYTE = 0x1907, 0x1908, 0x1401
 _UNPACK_ALIGNMENT = 0x0CF5
 _TEXTURE, _MIN_FILTER, _MAG_FILTER, _LINEAR = 0x0DE1, 0x2801, 0x2800, 0x2601
 
 
 class Blender:
-    """Draws panels over the image of a window, or replaces the red channel of the image.
+    """Draws text panels over the image of a window, or replaces the red channel of the image.
 
-    GLFW provides the OpenGL functions on every platform.
+    The OpenGL functions come from GLFW, which provides them on every platform.
     """
 
     def __init__(self) -> None:
@@ -48,7 +43,7 @@ class Blender:
         )
 
     def draw_red(self, pixels: Pixels, left: int, bottom: int) -> None:
-        """Replaces the red channel of the image."""
+        """Replaces the red channel of the image in the window."""
         self._push(_ALL_ATTRIBUTES)
         for name in (*_OFF, _BLEND):
             self._disable(name)
@@ -61,13 +56,13 @@ class Blender:
         self._pop()
 
     def draw(self, panels: Sequence[PlacedPanel], left: int = 0, bottom: int = 0) -> None:
-        """Draws panels over the image."""
+        """Draws text panels over the image in the window."""
         self._push(_ALL_ATTRIBUTES)
         for name in _OFF:
             self._disable(name)
         self._enable(_BLEND)
-        self._blend(_ONE, _ONE_MINUS_ALPHA)  # colors are premultiplied
-        self._zoom(1.0, -1.0)  # from the top row down
+        self._blend(_ONE, _ONE_MINUS_ALPHA)  # The colors are premultiplied by alpha.
+        self._zoom(1.0, -1.0)  # The pixels begin with the top row.
         for placed in panels:
             height, width = placed.pixels.shape[:2]
             self._go_to(left + placed.left, bottom + placed.bottom + height)
@@ -76,7 +71,7 @@ class Blender:
 
 
 def make_texture(pixels: Pixels) -> int:
-    """Returns the OpenGL name of a new texture with pixels of shape (height, width, 3), uint8."""
+    """Creates an OpenGL texture from pixels, shape (height, width, 3), uint8. Returns its name."""
     integer, unsigned = ctypes.c_int, ctypes.c_uint
     name = unsigned()
     _function("glGenTextures", integer, ctypes.c_void_p)(1, ctypes.addressof(name))
@@ -96,5 +91,5 @@ def make_texture(pixels: Pixels) -> int:
 
 def _function(name: str, *arguments: Any) -> Callable[..., None]:
     address = ctypes.cast(glfw.get_proc_address(name), ctypes.c_void_p).value
-    assert address is not None  # all are part of OpenGL 1.4, and MuJoCo needs 2.1
+    assert address is not None  # The functions belong to OpenGL 1.4, and MuJoCo needs 2.1.
     return ctypes.CFUNCTYPE(None, *arguments)(address)

@@ -21,8 +21,8 @@ from ..image.typesetting import Typesetter
 from ..session.input import LEFT, MIDDLE, RIGHT, Event
 from .gl_blend import Blender
 
-_SAMPLES = 4  # samples per pixel, for antialiasing
-_HUD_TEXT = 18.0  # text height of the window at content scale 1, pixels
+_SAMPLES = 4  # number of samples per pixel, for antialiasing
+_TEXT_HEIGHT = 18.0  # text height of the window at content scale 1, pixels
 _SMALLEST = (320, 240)
 _NAMED_KEYS = {
     glfw.KEY_BACKSPACE: "backspace",
@@ -52,12 +52,12 @@ class GlWindow:
 
     Attributes:
         context: context that renders the scene.
-        typesetter: typesetter of text in the window, whose size depends on the screen.
-        on_key: called with GLFW's key, action and modifiers, before other handlers.
-        on_character: called with each typed character.
+        typesetter: typesetter of text in the window, whose text size depends on the screen.
+        on_key: function called with the key, action and modifiers of GLFW, before other handlers.
+        on_character: function called with the code of each typed character.
 
     Raises:
-        RenderError: there is no display, or no OpenGL.
+        RenderError: there is no display, or OpenGL is not available.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class GlWindow:
         self._is_repeat = False
         self.on_key: Callable[[int, int, int], None] | None = None
         self.on_character: Callable[[int], None] | None = None
-        self._at: tuple[float, float] | None = None  # pointer position in screen coordinates
+        self._at: tuple[float, float] | None = None  # position of the pointer, screen coordinates
         self._windowed: tuple[int, int, int, int] | None = None
         mode = glfw.get_video_mode(glfw.get_primary_monitor())
         self.refresh_rate = float(mode.refresh_rate or 60)
@@ -88,10 +88,10 @@ class GlWindow:
 
     def _make_contexts(self) -> None:
         world = self._world
-        height = _HUD_TEXT * glfw.get_window_content_scale(self._window)[1]
+        height = _TEXT_HEIGHT * glfw.get_window_content_scale(self._window)[1]
         self.typesetter = self._of_image = Typesetter(round(height))
         self.blender = Blender()
-        # The scene is rendered into the window's buffer; quick frames use the offscreen buffer.
+        # The scene is rendered into the window's buffer. Only quick frames need the offscreen one.
         with offscreen_size(world.model, 16, 16, samples=0):
             self.context = mujoco.MjrContext(world.model, mujoco.mjtFontScale.mjFONTSCALE_100)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, self.context)
@@ -103,7 +103,7 @@ class GlWindow:
         glfw.set_scroll_callback(window, self._on_scroll)
         glfw.set_key_callback(window, self._on_key)
         glfw.set_char_callback(window, self._on_char)
-        on_drop: Any = self._on_drop  # it receives paths, unlike its annotation
+        on_drop: Any = self._on_drop  # The type annotation of GLFW is wrong.
         glfw.set_drop_callback(window, on_drop)
 
     @property
@@ -125,8 +125,8 @@ class GlWindow:
     def events(self) -> list[Event]:
         """Returns the events since the last call.
 
-        GLFW does not report their times. They are spread evenly over the time since the last call,
-        so that two clicks during a slow frame are not taken for a double click.
+        GLFW does not report the times of events. They are spread evenly over the time since the
+        last call, so that two clicks during a slow frame are not mistaken for a double click.
         """
         last, self._polled = self._polled, time.monotonic()
         glfw.poll_events()
@@ -134,9 +134,9 @@ class GlWindow:
         return spread_times(events, last, self._polled)
 
     def typesetter_of(self, width: int, height: int) -> Typesetter:
-        """Returns the typesetter of panels in an image with this size in pixels.
+        """Returns the typesetter for panels in an image, whose size is given in pixels.
 
-        The text is at least as large as the text of the window.
+        The text is at least as large as other text in the window.
         """
         line = max(line_height(self._world, width, height), self.typesetter.font.height)
         if line != self._of_image.font.height:
@@ -145,7 +145,7 @@ class GlWindow:
 
     @property
     def clipboard(self) -> str:
-        with _glfw_errors():  # the clipboard may contain an image
+        with _glfw_errors():  # The clipboard may contain an image, which causes an error.
             text: Any = glfw.get_clipboard_string(self._window)
         return str((text or b"").decode("utf-8", "replace"))
 
@@ -153,9 +153,9 @@ class GlWindow:
         glfw.set_clipboard_string(self._window, text)
 
     def render_quickly(self, rect: mujoco.MjrRect, scene: mujoco.MjvScene) -> None:
-        """Renders into a rectangle of the window without multisampling and shadows.
+        """Renders a scene into a rectangle of the window without multisampling and shadows.
 
-        Without a GPU, this takes a fraction of the time.
+        On machines without a GPU, this saves most of the rendering time.
         """
         context, shadow = self.context, mujoco.mjtRndFlag.mjRND_SHADOW
         here = self._offscreen(rect)
@@ -168,11 +168,12 @@ class GlWindow:
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_WINDOW, context)
 
     def read(self, rect: mujoco.MjrRect) -> Pixels:
-        """Returns the rendered pixels of a rectangle, (height, width, 3), uint8, top row first.
+        """Returns the rendered pixels of a rectangle of the window, with the top row first.
 
-        The window's buffer is multisampled. Blitting the buffer resolves the samples; reading the
-        buffer does not.
+        Returns:
+            pixels, shape (height, width, 3), uint8.
         """
+        # The window's buffer is multisampled. Blitting resolves the samples, but reading does not.
         here = self._offscreen(rect)
         mujoco.mjr_blitBuffer(rect, here, 1, 0, self.context)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
@@ -237,7 +238,7 @@ class GlWindow:
         }
 
     def _on_button(self, window: Any, button: int, action: int, mods: int) -> None:
-        # The position of the press; the pointer may have moved since.
+        # `get_cursor_pos` may return a later position than that of the press.
         x, y = self._at or glfw.get_cursor_pos(window)
         kind = "press" if action == glfw.PRESS else "release"
         shift = bool(mods & (glfw.MOD_SHIFT | glfw.MOD_CONTROL))
@@ -261,7 +262,7 @@ class GlWindow:
         if key in (glfw.KEY_Q, glfw.KEY_W) and mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
             self.request_close()
         elif mods & (glfw.MOD_CONTROL | glfw.MOD_SUPER):
-            # Identified by the letter on the key, which depends on the keyboard layout.
+            # The letter on a key depends on the keyboard layout.
             letter = (glfw.get_key_name(key, code) or "").lower()
             if letter == "z" and mods & glfw.MOD_SHIFT:
                 letter = "y"
@@ -270,18 +271,18 @@ class GlWindow:
             self._add("key", key=_NAMED_KEYS[key], is_repeat=self._is_repeat)
 
     def _on_drop(self, window: Any, paths: Sequence[str]) -> None:
-        if paths:  # only the first file is opened
+        if paths:  # A window shows one scene, so only the first file is opened.
             self._add("drop", key=str(paths[0]))
 
     def _on_char(self, window: Any, code: int) -> None:
         if self.on_character is not None:
             self.on_character(code)
-        # Characters, not keys, so that all keyboard layouts work.
+        # Characters work with all keyboard layouts, unlike keys.
         self._add("key", key=chr(code).lower(), is_repeat=self._is_repeat)
 
 
 def spread_times(events: Sequence[Event], begin: float, end: float) -> list[Event]:
-    """Returns the events with times that are equally spaced after `begin` up to `end`, s."""
+    """Sets equidistant times of events, after `begin` and up to `end`, both in seconds."""
     step = (end - begin) / max(len(events), 1)
     return [replace(each, time=begin + step * (i + 1)) for i, each in enumerate(events)]
 
@@ -307,7 +308,7 @@ def _start_glfw() -> None:
         if glfw.init():
             return
     reason = errors[-1] if errors else "GLFW cannot be initialized"
-    raise RenderError(f"cannot open a window: {reason}; is there a display?")
+    raise RenderError(f"cannot open a window: {reason}; check that there is a display")
 
 
 def _check(size: Any) -> None:
@@ -330,4 +331,4 @@ def _make_window(size: tuple[int, int], title: str) -> Any:
             if window:
                 return window
     reason = errors[-1] if errors else "no OpenGL"
-    raise RenderError(f"cannot open a window: {reason}; `sero-mj render` needs no window")
+    raise RenderError(f"cannot open a window: {reason}; use `sero-mj render`, which opens none")

@@ -1,4 +1,4 @@
-"""`Window`: shows a mirror in a window, with mouse and keys."""
+"""`Window`: shows a mirror in a window, and handles its mouse and key events."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from ..session.tool import tool_keys
 from .glfw_window import GlWindow
 from .viewport import Pane, Viewport
 
-_REST = 0.3  # s without motion or input, after which frames have full quality
-_SAME_VIEW = 1e-6  # tolerance of position, m, and direction of the camera
+_REST = 0.3  # time without motion or input after which frames have full quality, s
+_SAME_VIEW = 1e-6  # tolerance of the camera's position in m, and of its direction
 
 
 class Pace:
-    """Decides when to reduce the quality of frames: during motion and input, if rendering is slow.
+    """Reduces the quality of frames during motion and input if rendering is slow.
 
     Attributes:
-        slow: duration above which a full-quality frame is slow, s.
+        slow: rendering time in seconds above which a full-quality frame is slow.
     """
 
     def __init__(self) -> None:
         self.slow = 0.04
-        self._time = 0.0  # mean duration of full-quality frames, s
+        self._time = 0.0  # mean rendering time of full-quality frames, s
         self._view: tuple[float, ...] = ()
         self._moved = float("-inf")  # time of the last motion or input
 
@@ -56,15 +56,13 @@ class Pace:
 
 
 class Window(LiveHost):
-    """Shows a mirror in a window.
-
-    Every frame shows the latest packets and never waits for a packet.
+    """A window that shows a mirror. Frames show the latest packets and never wait for a packet.
 
     Attributes:
         is_quick: whether the last frame was rendered without multisampling and shadows.
 
     Raises:
-        RenderError: there is no display, no OpenGL or no Dear ImGui.
+        RenderError: there is no display, or OpenGL or Dear ImGui is not available.
         UnknownName: there is no camera with this name.
     """
 
@@ -81,9 +79,9 @@ class Window(LiveHost):
         folder: Path | None = None,
         make_viewport: Callable[[WorldView, Toggles, mujoco.MjrContext], Viewport] = Viewport,
     ) -> None:
-        try:  # not at the top: rendering images needs no user interface
+        try:  # This import is not at the top, because images can be rendered without Dear ImGui.
             from .chrome import Chrome
-        except ImportError as error:  # for example of a system library
+        except ImportError as error:  # A system library may be missing.
             raise RenderError(
                 f"cannot open a window: {error}; `sero-mj view --web` serves a page instead"
             ) from error
@@ -101,7 +99,7 @@ class Window(LiveHost):
         self._chrome = Chrome(self.gl, self, columns)
         self._pace, self.is_quick = Pace(), False
         self._last = self._end = time.monotonic()  # start and end of the last frame
-        self._interval = 1.0 / self.gl.refresh_rate  # s, averaged over the last frames
+        self._interval = 1.0 / self.gl.refresh_rate  # mean time between the last frames, s
 
     @property
     def is_open(self) -> bool:
@@ -109,9 +107,9 @@ class Window(LiveHost):
 
     @property
     def is_due(self) -> bool:
-        """Whether the screen is ready for the next frame.
+        """Whether it is time for the next frame.
 
-        If rendering is slow, half of the time is left for the caller.
+        If rendering is slow, half of the time remains for the caller.
         """
         took = self._end - self._last
         if not self.is_open:
@@ -125,7 +123,7 @@ class Window(LiveHost):
         if self.gl.is_closing:
             return False
         width, height = self.gl.size
-        if not (width and height):  # minimized
+        if not (width and height):  # The window is minimized.
             self.gl.wait(0.1)
             return True
         for event in self.gl.events():
@@ -139,7 +137,7 @@ class Window(LiveHost):
         rect = mujoco.MjrRect(*places.image)
         typesetter = self.gl.typesetter_of(rect.width, rect.height)
         is_taken = self.tools.takes_images
-        covered = 0.0 if is_taken else chrome.covered  # saved images have no panel
+        covered = 0.0 if is_taken else chrome.covered  # Saved images have no panel.
         self.decor.update(self.data, self.navigator.camera, Pane(rect, typesetter, covered))
         self._place_pointer()
         at = self._mouse.position
@@ -152,7 +150,7 @@ class Window(LiveHost):
         drawn = time.monotonic()
         self.work = drawn - begin
         view = self.decor.view
-        assert view is not None  # set by `update` above
+        assert view is not None  # `update` above has set the view.
         is_quick = self._pace.is_quick((*view.position, *view.forward), drawn)
         self.is_quick = is_quick and not is_taken
         self._draw()
@@ -160,7 +158,7 @@ class Window(LiveHost):
         self._end = time.monotonic()
         if not self.is_quick:
             self._pace.took(self._end - drawn)
-        # Limits the frame rate if swapping does not wait for the screen's refresh.
+        # This limits the frame rate if swapping does not wait for the screen's refresh.
         if wait:
             self.gl.wait(1.0 / self.gl.refresh_rate - 1e-3 - (self._end - begin))
         return not self.gl.is_closing
@@ -182,7 +180,7 @@ class Window(LiveHost):
         return self.gl.read(rect)
 
     def _pixel(self, at: Pixel | None) -> Pixel | None:
-        """Converts a pixel of the window to a pixel of either eye's image; None outside."""
+        """Converts a pixel of the window to one of the image (of either eye), or None outside."""
         if at is None:
             return None
         rect = self.decor.rect

@@ -1,4 +1,4 @@
-"""`ImguiLayer`: Dear ImGui in a window, and the mouse and keyboard events for it."""
+"""`ImguiLayer`: draws Dear ImGui in a window, and passes mouse and keyboard events to it."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..session.widgets import Widgets
 from .glfw_window import GlWindow
 from .style import set_style
 
-# For OpenGL 2.1, which MuJoCo needs, and later versions.
+# This version works with OpenGL 2.1, which MuJoCo needs, and later versions.
 _GLSL = "#version 120"
-_TEXT = 0.84  # text height, relative to the window's own text
+_TEXT = 0.84  # text height relative to other text in the window
 _KEYS = {
     glfw.KEY_TAB: imgui.Key.tab,
     glfw.KEY_BACKSPACE: imgui.Key.backspace,
@@ -42,11 +42,11 @@ _MODIFIERS = {
 
 
 class ImguiLayer:
-    """Dear ImGui in the window's own OpenGL context, whose state it restores."""
+    """Draws Dear ImGui in the OpenGL context of a window, and restores the state of the context."""
 
     def __init__(self, gl: GlWindow) -> None:
         self._gl = gl
-        self.size = gl.size  # queried once per frame, because it is a request to the display
+        self.size = gl.size  # Each query is a request to the display, so there is one per frame.
         self.text_height = round(_TEXT * gl.typesetter.font.height)
         self._context, self._plots = imgui.create_context(), implot.create_context()
         io = imgui.get_io()
@@ -59,12 +59,12 @@ class ImguiLayer:
         platform.platform_set_clipboard_text_fn = lambda _, text: gl.set_clipboard(text)
         gl.on_key, gl.on_character = self._key, io.add_input_character
         self.widgets: Widgets = ImguiWidgets(imgui, implot)
-        # Left, top, width and height of the ImGui windows that take the mouse.
+        # ImGui windows that handle the mouse: left, top, width and height.
         self._rects: list[tuple[float, float, float, float]] = []
-        self._at = (-1.0, -1.0)  # position of the pointer, pixels from the upper left corner
+        self._at = (-1.0, -1.0)  # position of the pointer in pixels from the upper left corner
         self._is_held = False  # whether the mouse button was pressed over an ImGui window
-        self._released: list[int] = []  # buttons, passed to ImGui one frame later
-        self._has_popup = False  # for example a drop-down list
+        self._released: list[int] = []  # released buttons, passed to ImGui one frame later
+        self._has_popup = False  # whether, for example, a drop-down list is open
         self._last = time.monotonic()
 
     @property
@@ -72,7 +72,7 @@ class ImguiLayer:
         return bool(imgui.get_io().want_text_input)
 
     def take(self, event: Event) -> bool:
-        """Handles an event; returns whether only the user interface uses the event."""
+        """Handles an event, and returns whether the rest of the window must ignore it."""
         if event.kind == "key":
             return self.takes_keys
         io = imgui.get_io()
@@ -87,13 +87,13 @@ class ImguiLayer:
             return self._is_held
         is_press = event.kind == "press"
         if is_press and not self._is_over(x, y):
-            imgui.set_window_focus(None)  # a text field loses the focus
+            imgui.set_window_focus(None)  # A text field loses the focus.
             return False
         was_held, self._is_held = self._is_held, is_press
         if is_press:
             io.add_mouse_button_event(event.button, True)
         elif was_held:
-            # A dragged widget first moves to the position at which the button was released.
+            # A dragged widget must first move to the position at which the button was released.
             self._released.append(event.button)
         return is_press or was_held
 
@@ -117,8 +117,9 @@ class ImguiLayer:
         """Builds the widgets of a frame, which `draw` draws.
 
         Args:
+            size: width and height of the window in pixels.
             build: function that builds ImGui windows, and calls `take_mouse` in each window that
-                takes the mouse.
+                handles the mouse.
         """
         now = time.monotonic()
         io = imgui.get_io()

@@ -25,20 +25,20 @@ _FLAGS = (
     | imgui.WindowFlags_.no_saved_settings
     | imgui.WindowFlags_.no_bring_to_front_on_focus
 )
-# Lengths in units of the text's height.
-_TILE, _WIDEST = 13.5, 22.0  # widths of tiles
+# Lengths are in units of the text height, unless stated otherwise.
+_TILE, _WIDEST = 13.5, 22.0  # minimum and maximum width of tiles
 _GAP, _SIDE, _MARGIN = 1.0, 23.0, 1.6
 _HEAD = 4.4  # height above the tiles, with a message of one line
-_ASPECT = 0.625  # height of an image over its width
-_LARGE, _SMALL = 1.6, 0.86  # heights of the title, and of text below images
-_NARROW = 52.0  # in a narrower window, the side column is below the tiles
+_ASPECT = 0.625  # ratio of image height to image width
+_LARGE, _SMALL = 1.6, 0.86  # heights of the title and of text below images
+_NARROW = 52.0  # window width below which the side column is below the tiles
 _BACKGROUND = (0.05, 0.06, 0.08, 1.0)
 _RIM = 3.0  # width of the highlight around an image, pixels
-_WAIT, _IDLE = 0.05, 0.25  # s between frames, with and without events
+_WAIT, _IDLE = 0.05, 0.25  # times between frames with and without events, s
 
 
 class StartWindow:
-    """Shows the start page until something is opened."""
+    """A window that shows the start page until the user opens a scene, robot or recording."""
 
     def __init__(
         self,
@@ -76,7 +76,7 @@ class StartWindow:
             mujoco.mjr_rectangle(mujoco.MjrRect(0, 0, *size), *_BACKGROUND)
             self._layer.draw()
             gl.swap()
-        if is_opening:  # this frame shows the message
+        if is_opening:  # The frame above has shown the message about opening the file.
             return not page.open_next(0.0)
         if not page.is_opening:
             gl.wait(_WAIT if events else _IDLE)
@@ -124,7 +124,7 @@ class StartWindow:
         if notice.is_shown:
             ui.same_line()
             ui.text(notice.text, "bad" if notice.is_bad else "good")
-        # Reserves the line of the message, so that a message moves nothing.
+        # The line of the message is reserved, so that tiles do not move when a message appears.
         bottom = _HEAD * self._layer.text_height
         imgui.set_cursor_pos_y(max(imgui.get_cursor_pos_y(), bottom))
 
@@ -170,7 +170,7 @@ class StartWindow:
                 with Image.open(path) as image:
                     pixels = np.ascontiguousarray(image.convert("RGB"))
                 self._textures[path] = make_texture(pixels)
-            except OSError:  # damaged or deleted
+            except OSError:  # The image is damaged or was deleted.
                 self._textures[path] = None
         return self._textures[path]
 

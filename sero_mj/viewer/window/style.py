@@ -1,4 +1,4 @@
-"""Fonts, colors and spacing of Dear ImGui in windows."""
+"""Sets the fonts, colors and spacing of Dear ImGui in windows."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ _PLOT_COLORS = {
 
 
 def set_style(height: float) -> None:
-    """Sets fonts and colors of the current contexts of imgui and implot."""
+    """Sets the style of the current ImGui and ImPlot contexts for a text height in pixels."""
     io, style = imgui.get_io(), imgui.get_style()
     font = files("sero_mj.viewer") / "fonts" / "Inter-Medium.ttf"
     io.fonts.add_font_from_file_ttf(str(Path(str(font))), height)
-    for more in more_fonts():  # for characters that are missing in the previous fonts
+    for more in more_fonts():  # Each font adds characters that are missing in the previous ones.
         merged = imgui.ImFontConfig()
         merged.merge_mode = True
         io.fonts.add_font_from_file_ttf(more, height, merged)
@@ -69,7 +69,7 @@ def set_style(height: float) -> None:
     style.frame_rounding = style.grab_rounding = style.scrollbar_rounding = 0.25 * height
     style.window_border_size = 0.0
     style.window_min_size = ImVec2(1.0, 1.0)
-    # Without whole pixels, windows that fit their contents would be slightly too low.
+    # Sizes must be whole pixels. Otherwise, windows that fit their contents are slightly too low.
     style.window_padding = ImVec2(round(0.7 * height), round(0.6 * height))
     style.frame_padding = ImVec2(round(0.4 * height), round(0.2 * height))
     style.item_spacing = ImVec2(round(0.45 * height), round(0.3 * height))

@@ -20,14 +20,14 @@ from ..image.typesetting import Typesetter
 from ..session.status_line import Piece
 from .glfw_window import GlWindow
 
-_MORE = 2000  # capacity for geoms that MuJoCo draws in addition to the geoms of the model
+_MORE = 2000  # maximum number of geoms that MuJoCo draws in addition to those of the model
 
 
 class Pane(NamedTuple):
     """The part of a window that shows the image.
 
     Attributes:
-        covered: width of the panel at the left edge, pixels. Text is placed beside the panel.
+        covered: width in pixels that the panel covers at the left edge. Text must be beside it.
     """
 
     rect: mujoco.MjrRect
@@ -36,10 +36,11 @@ class Pane(NamedTuple):
 
 
 class Viewport(SceneDecor):
-    """The image of a world in a rectangle of a window.
+    """Draws the image of a world in a rectangle of a window.
 
     Attributes:
-        width: width of the image for one eye, pixels.
+        rect: rectangle of the image in the window.
+        width: width of the image for one eye in pixels.
     """
 
     def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
@@ -55,7 +56,7 @@ class Viewport(SceneDecor):
         return []
 
     def update(self, data: mujoco.MjData, camera: mujoco.MjvCamera, pane: Pane) -> None:
-        """Lays out scene and decor."""
+        """Prepares the scene and all overlays for `render`."""
         scene = self._scene
         self.fill(data, camera, scene)
         if self._surroundings is not None:
@@ -84,11 +85,12 @@ class Viewport(SceneDecor):
 
 
 class StereoViewport(Viewport):
-    """A viewport with one image per eye, always in full quality.
+    """A viewport with one image per eye, which is always rendered in full quality.
 
     Args:
-        stereo: `side-by-side` for half of the image per eye, or `anaglyph` for red-cyan glasses.
-        eye_distance: distance between the eyes, m.
+        stereo: stereo mode: `side-by-side` for two images beside each other, or `anaglyph` for
+            red-cyan glasses.
+        eye_distance: distance between the eyes in m.
 
     Raises:
         RenderError: the stereo mode is unknown, or the distance is out of range.
@@ -122,7 +124,7 @@ class StereoViewport(Viewport):
         for eye, _ in enumerate(each_eye(scene, self._eye_distance, self._distance)):
             half = mujoco.MjrRect(starts[eye], rect.bottom, self.width, rect.height)
             mujoco.mjr_render(half, scene, gl.context)
-            # Not with a color mask: MuJoCo resets it when it renders reflections.
+            # A color mask does not work, because MuJoCo resets it when it renders reflections.
             if self._is_anaglyph and eye == 0:
                 red = gl.read(rect)
         if self._is_anaglyph:

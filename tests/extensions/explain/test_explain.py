@@ -5,9 +5,7 @@ import math
 import re
 from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,18 +13,17 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import raises_with, sampled
+from explain_runs import BEGIN, finished, simulated_swing, swing, swinging
 from runs import HOME, record_packets, record_run, two_joints
 
-from sero_mj.base.errors import SimulationError, UsageError
+from sero_mj.base.errors import UsageError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
+from sero_mj.extensions.explain.edges import Edges, _erf
 from sero_mj.extensions.explain.explain import explain, explain_run, explain_runs
-from sero_mj.extensions.explain.explain_search import _Edges, _erf
+from sero_mj.extensions.explain.link_torques import body_torques, link_torques, torques_by_angle
 from sero_mj.extensions.explain.torque_residuals import (
     _jumps,
-    _link_torques,
-    _payload_torques,
-    _torques_by_angle,
     pair_with_model,
     torque_residuals,
 )
@@ -37,13 +34,11 @@ from sero_mj.simulate.control.robot_model import RobotModel
 from sero_mj.simulate.external_loads import attach_payload
 from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.simulate.runs.run_recording import read_run
-from sero_mj.simulate.scenario import Scenario
 from sero_mj.simulate.simulation import Simulation
 from sero_mj.study.align import pair_with_commands
 from sero_mj.study.compare import compare_scene, explanations_table
 from sero_mj.study.explanation import FLANGE, LINKS, Explanation
 
-BEGIN = 1.3
 # A robot that sends measured and commanded values without a time stamp.
 LATE = """
 [robots.lwr]
@@ -59,42 +54,6 @@ structure = "7F7F7F"
 "lwr.torques" = "udp.values1"
 "lwr.commanded_torques" = "udp.values2"
 """
-
-
-def simulated_swing(
-    fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False
-) -> Simulation:
-    """Returns a run of an LWR with realistic sensors, 2.6 s of sines, and a fault."""
-    return finished(Simulation(swinging(fault, load, seed, loop)))
-
-
-def swinging(
-    fault: str, load: str, seed: int = 0, loop: bool = False, *,
-    stiffness: float = 1200, duration: float = 2.6,
-) -> Scenario:  # fmt: skip
-    faults, loads = json.loads(fault), json.loads(load)
-    return Scenario(
-        Scene(robots=[SerialRobot.from_model("lwr", joint_angles=HOME)], floor=False),
-        controllers={"lwr": {"kind": "joint_impedance", "stiffness": stiffness}},
-        targets={"lwr": {"kind": "sine", "amplitude_deg": 9.0, "frequency": 0.5}},
-        sensors={"lwr": {"angles": {"resolution": 1e-5}, "torques": {"noise": 0.03}}},
-        faults={"it": {"begin": BEGIN, **faults}} if faults else None,
-        disturbances={"load": {"begin": BEGIN, **loads}} if loads else None,
-        duration=duration, seed=seed, torque_control=loop, name="swing",
-    )  # fmt: skip
-
-
-def finished(simulation: Simulation) -> Simulation:
-    with suppress(SimulationError):  # a drive with the wrong sign runs away
-        for _ in simulation.run():
-            pass
-    return simulation
-
-
-@cache
-def swing(fault: str = "{}", load: str = "{}", seed: int = 0, loop: bool = False) -> RunLog:
-    """Returns the log alone, because simulations use much memory."""
-    return simulated_swing(fault, load, seed, loop).log
 
 
 def explanations_of(log: RunLog) -> list[Explanation]:
@@ -353,7 +312,7 @@ def test_torques_of_a_body_equal_the_mujoco_difference_with_and_without_it(robot
     loaded = RobotModel(world.model, joints, body=part.flange_body)
     about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))
     parameters = [mass, *(mass * center), *np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
-    by_regressor = _link_torques(arm, q, v, a) + _payload_torques(arm, q, v, a) @ parameters
+    by_regressor = link_torques(arm, q, v, a) + body_torques(arm, q, v, a) @ parameters
     for k in range(20):
         loaded.update(q[k], v[k])
         M = loaded.mass() - np.diag(loaded.motor_inertia)
@@ -376,7 +335,7 @@ def test_torque_derivatives_equal_those_of_the_mujoco_energy(robot: str) -> None
         mujoco.mj_energyPos(world.model, data)
         return float(data.energy[0])
 
-    found, steps = _torques_by_angle(arm, q, still, still), 1e-3 * np.eye(arm.n)
+    found, steps = torques_by_angle(arm, q, still, still), 1e-3 * np.eye(arm.n)
     for k, i, j in np.ndindex(3, arm.n, arm.n):
         more, less = (
             energy(q[k] + steps[i] + side) - energy(q[k] - steps[i] + side)
@@ -410,7 +369,7 @@ def test_perfect_run_has_no_residuals() -> None:
 
 def test_edge_sums_equal_direct_sums() -> None:
     rng = np.random.default_rng(2)
-    edges, X, y = _Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
+    edges, X, y = Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
     sums = edges.sums(X, y)
     for first, last in ((0, 59), (0, 31), (17, 59), (14, 40)):
         H, g, _ = sums.between(first, last)

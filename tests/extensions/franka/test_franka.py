@@ -175,9 +175,9 @@ def test_missing_states_are_counted_as_lost(server: FrankaServer) -> None:
         (struct.pack("<III", 0, 1, 2**31), " sends an invalid FCI message", 1),
         (answer() + b"x", " sends more than the answer", 1),
         (answer(status=2), " rejects the connection with status 2", 0),
-        (answer(1, version=11), " has server version 11; supported: 3 to 10", 0),
-        (answer(1, version=2), " has server version 2; supported: 3 to 10", 0),
-        (answer(0, version=11), " has server version 11; supported: 3 to 10", 0),
+        (answer(1, version=11), " has server version 11; supported versions are 3 to 10", 0),
+        (answer(1, version=2), " has server version 2; supported versions are 3 to 10", 0),
+        (answer(0, version=11), " has server version 11; supported versions are 3 to 10", 0),
         (answer(1, version=10), " rejects version 10, but has version 10", 0),
         (
             b"",

@@ -186,7 +186,7 @@ def test_incomplete_messages_and_other_versions_are_reported(
     assert (found["other"], found["status"]) == ([1, 10, 0], 0)
     for text in (
         "disconnected within a message",
-        "sends no valid request: ff ff",
+        "sends an invalid request: ff ff",
         "sends Move of 12 bytes; expected 125",
         "expected version = 9",
     ):

@@ -128,7 +128,7 @@ def test_seeds_are_consecutive_declared_or_random() -> None:
     one, other = (vector("lwr-reach", "vector_entry_point", 3, **make) for _ in range(2))
     assert np.abs(one.reset()[0]["target_position"] - other.reset()[0]["target_position"]).max() > 0
     assert envs.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP
-    with raises_with(key="seed", found=2, expected="one number, or 3"):
+    with raises_with(key="seed", found=2, expected="one seed, or 3 seeds"):
         envs.reset(seed=[1, 2])
 
 

@@ -155,7 +155,7 @@ def test_impossible_calibrations_are_rejected(points: Array) -> None:
     random = rng.uniform(0, [1280, 800], pixels.shape)
     unseen = {
         "reason": "no camera fits the points",
-        "expected": "the robot's pose in the photo, and the correct names of points",
+        "expected": "the pose of the robot in the photo, and the correct names of points",
     }
     behind = {
         "reason": "base would be behind the camera",
@@ -189,7 +189,7 @@ def test_points_are_read_from_csv_and_toml_and_errors_are_reported(
         ("point,x,y\nflng,10,20\nA3,900,20\nA3,a,b\n", [
             "p.csv:2: no frame or joint 'flng'; did you mean 'flange'?",
             "p.csv:3: pixel 900, 20 is outside of the photo, which has 640x400 pixels",
-            "p.csv:4: found 'A3,a,b'; expected a name and pixels",
+            "p.csv:4: found 'A3,a,b'; expected the name of a point and its pixel",
         ]),
         ("name,u,v\n", [
             "p.csv:1: found columns name, u, v; expected point,x,y and optionally dx,dy,dz",
@@ -249,7 +249,7 @@ def test_calibrate_prints_every_point_and_writes_the_camera(
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     status, _, err = run(["calibrate", "p.png", *pose], capsys)
-    assert status == 2 and "no display for a window to click points" in err
+    assert status == 2 and "no display for a window in which to click points" in err
     status, _, err = run(["calibrate", "p.png", "--robot", "justin", "--joint-angles", "1",
                           "--points", "p.csv"], capsys)  # fmt: skip
     assert (

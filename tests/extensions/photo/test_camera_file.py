@@ -136,14 +136,15 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
     ("name", "text", "problems"),
     [
         ("c.yaml", FRAME, [
-            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels, from a "
-            "calibration",
-            "image_width: is required: size of the images, pixels",
-            "image_height: is required: size of the images, pixels",
+            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels from a "
+            "camera calibration",
+            "image_width: is required: the size of the images in pixels",
+            "image_height: is required: the size of the images in pixels",
         ]),
         ("c.yaml", ROS, [
-            "frame: is required: pose of the camera in the world, 4 x 4 or { xyz = [...], "
-            "quat = [...] }, x to the right, y down, z forward; `sero-mj calibrate` computes it",
+            "frame: is required: the pose of the camera in the world, 4 x 4 or { xyz = [...], "
+            "quat = [...] }, with x to the right, y down and z forward; `sero-mj calibrate` "
+            "computes it",
         ]),
         ("c.yaml", ROS.replace("plumb_bob", "plum_bob") + FRAME,
          ["distortion_model: found 'plum_bob'; did you mean 'plumb_bob'?; there are plumb_bob, "
@@ -152,7 +153,7 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
          ["distortion_coefficients: found 5; expected 4 coefficients of the model equidistant"]),
         ("c.yaml", ROS.replace("500.5", "0") + FRAME,
          ["camera_matrix: found fx = 0, fy = 501 (not calibrated); expected "
-          "pixels above 0"]),
+          "focal lengths above 0 pixels"]),
         ("c.yaml", ROS.replace("500.5, 0,", "500.5, 3,") + FRAME,
          ["camera_matrix: found a skew of 3; expected 0, as in OpenCV"]),
         ("c.yaml", ROS.replace("0, 0, 1]\ndis", "0, 0]\ndis") + FRAME,
@@ -167,7 +168,7 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
         ("c.yaml", "just words", ["found no table; expected camera_matrix"]),
         ("c.toml", TOML.replace("camera_matrix", "camera_matrx"),
          ["camera_matrx: unknown key; did you mean 'camera_matrix'?"]),
-        ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected pixels, 1 to 16384"]),
+        ("c.toml", TOML.replace("640", "0"), ["image_width: found 0; expected 1 to 16384 pixels"]),
         ("c.txt", TOML, ["expected a camera file with a name that ends in .yaml, .yml, .toml"]),
     ],
 )  # fmt: skip

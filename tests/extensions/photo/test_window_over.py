@@ -125,7 +125,7 @@ def test_invalid_cameras_are_rejected(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write_camera(tmp_path / "c.toml", camera("none", (320, 180)))
-    with pytest.raises(RenderError, match="camera 97: no such camera, or it is in use"):
+    with pytest.raises(RenderError, match="camera 97: there is no such camera, or it is in use"):
         CameraFeed("97", tmp_path / "c.toml")
     with pytest.raises(RenderError, match=r"gone\.mp4: no such file"):
         CameraFeed(str(tmp_path / "gone.mp4"), tmp_path / "c.toml")

@@ -55,6 +55,12 @@ def test_joints_are_matched_by_their_names(hand: JsonUdp) -> None:
     assert hand.latest().values["joint_angles"].tolist() == [6, 2, 3]
 
 
+def test_message_of_many_joints_is_received_whole(hand: JsonUdp) -> None:
+    others = [f"joint {k} of another device with a long name" for k in range(400)]
+    give(hand, {"name": [*others, *NAMES], "position": [*[0.0] * 400, 1, 2, 3]})
+    assert hand.latest().values["joint_angles"].tolist() == [1, 2, 3]
+
+
 @pytest.mark.parametrize(
     ("message", "why"),
     [

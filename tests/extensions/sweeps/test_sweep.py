@@ -393,17 +393,22 @@ def test_invalid_table_is_reported_with_its_line(file: Path, tmp_path: Path) -> 
         CsvError,
         path=f"{tmp_path}/out.csv",
         line=3,
-        reason="found 1 entries; expected a variant's number and 10 more",
+        reason="found 1 entries; expected the number of a variant and 10 other entries",
     ):
         SweepTable(runs, path, resume=True)
     path.write_text("".join([*lines[:2], lines[2].replace("1,", "77,", 1)]))
     with raises_with(
-        CsvError, path=f"{tmp_path}/out.csv", line=3, reason="found variant 77; expected below 4"
+        CsvError,
+        path=f"{tmp_path}/out.csv",
+        line=3,
+        reason="found variant 77; expected a number below 4",
     ):
         SweepTable(runs, path, resume=True)
     path.write_text("a,b\n1,2\n")
     with raises_with(
-        CsvError, path=f"{tmp_path}/out.csv", reason="found columns a,b; expected a sweep's"
+        CsvError,
+        path=f"{tmp_path}/out.csv",
+        reason="found columns a,b; expected the columns of this sweep",
     ):
         SweepTable(runs, path, resume=True)
 
@@ -481,10 +486,13 @@ def test_sweep_writes_table_and_figure_and_reports_the_result(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--resume"], "--resume: expected the file to continue, -o OUT.csv"),
+        (["--resume"], "--resume needs the file to continue: add -o OUT.csv"),
         (["-o", "out.txt"], "--out: found 'out.txt'; expected a name that ends in .csv"),
         (["--plot", "out.csv"], "--plot: found 'out.csv'; expected a name that ends in .png"),
-        (["--resume", "--overwrite", "-o", "a.csv"], "--resume and --overwrite: expected one"),
+        (
+            ["--resume", "--overwrite", "-o", "a.csv"],
+            "--resume cannot be combined with --overwrite",
+        ),
         (["--samples", "0"], "found '0'"),
         (["--jobs", "two"], "found 'two'"),
         (["--seed", "-1"], "found '-1'"),
@@ -547,7 +555,7 @@ def test_stopped_sweep_is_resumed_by_the_command(
         main([*command, "--jobs", "1", "--resume"])
     assert caught.value.code == 0
     output = capsys.readouterr().out
-    assert f"; {known} from before" in output or f"; {known - 1} from before" in output
+    assert f"; {known} from earlier runs" in output or f"; {known - 1} from earlier runs" in output
     assert out.read_bytes() == whole
 
 

@@ -79,7 +79,7 @@ def test_fig_7_survives_conversion_to_toml(
     assert text.startswith("# Converted from fig7.x3d.\n# Note: missing geometry files base")
     assert tomllib.loads(text) == read_x3d(FIG7).tables
     convert(tmp_path / "scene.toml", tmp_path / "again.x3d")
-    assert "left out" not in capsys.readouterr().err
+    assert "cannot express" not in capsys.readouterr().err
     again = read_x3d(tmp_path / "again.x3d")
     assert again.warnings == [] and again.tables == read_x3d(FIG7).tables
     assert (
@@ -106,7 +106,7 @@ def test_whole_scene_survives_conversion(
     capsys.readouterr()
     convert(tmp_path / "scenes" / "cell.toml", tmp_path / "again.x3d")
     err = capsys.readouterr().err
-    assert err.split("cannot express it: ")[1] == "sources.udp.host\n"
+    assert err.split("of the scene: ")[1] == "sources.udp.host\n"
     again = read_x3d(tmp_path / "again.x3d").tables
     del tables["sources"]["udp"]["host"]
     assert again["robots"]["arm"].pop("directory") == "meshes/of it"
@@ -258,7 +258,7 @@ size = [0.1, 0.2]
         path.write_text(files[scene])
     convert(path, tmp_path / "out.x3d")
     err = " ".join(capsys.readouterr().err.split())
-    assert err.startswith("sero-mj: left out, because X3D cannot express it: ")
+    assert err.startswith("sero-mj: X3D cannot express these parts of the scene: ")
     for each in lost:
         assert each in err
     load_scene(tmp_path / "out.x3d")
@@ -267,12 +267,12 @@ size = [0.1, 0.2]
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both are X3D; expected one"),
-        (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both are TOML"),
+        (["fig7.x3d", "b.x3d"], "fig7.x3d and b.x3d: both files are X3D; expected one"),
+        (["lwr_udp", "b.toml"], "lwr_udp and b.toml: both files are TOML"),
         (["lwr_udp", "b.toml", "--fps", "3"], "--fps is not available for toml files"),
         (["fig7.x3d", "there.toml"], "there.toml already exists; use --overwrite to replace it"),
         (["fig7.x3d", "no/b.toml"], "cannot write no/b.toml: No such file or directory"),
-        (["scara", "b.x3d"], "scara: X3D cannot express any part of the scene; left out: robots."),
+        (["scara", "b.x3d"], "scara: X3D cannot express any part of the scene: robots."),
         (["fig8.x3d", "b.toml"], "fig8.x3d: no such file; did you mean 'fig7.x3d'?"),
     ],
 )  # fmt: skip

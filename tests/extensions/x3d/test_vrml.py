@@ -192,7 +192,7 @@ def test_value_of_another_type_is_reported(kind: str, text: str, message: str) -
             "DEF a Box { size 1.2.3 }\nBox { size “x” }",
             [
                 "scene.x3d:1: a.size: found '1.2.3'; expected its value",
-                "scene.x3d:2: Box.size: found '“x”'; expected its value (quotes are \")",
+                "scene.x3d:2: Box.size: found '“x”'; expected its value (use \" as quotation mark)",
             ],
         ),
         (
@@ -240,10 +240,10 @@ def test_all_errors_are_reported_once() -> None:
 @pytest.mark.parametrize(
     ("contents", "message"),
     [
-        (b"", "is empty; expected a first line #X3D V3.0 utf8 or #VRML V2.0 utf8"),
-        (b'<?xml version="1.0"?>\n<X3D/>', "is X3D in the XML encoding; expected a first line"),
+        (b"", "is empty; expected the first line `#X3D V3.0 utf8` or `#VRML V2.0 utf8`"),
+        (b'<?xml version="1.0"?>\n<X3D/>', "is X3D in the XML encoding; expected the first line"),
         (b"#VRML V1.0 ascii\nSeparator {}\n", "is VRML V1.0, which precedes VRML97"),
-        (b"solid cube\n", "begins with 'solid cube'; expected a first line #X3D V3.0 utf8"),
+        (b"solid cube\n", "begins with 'solid cube'; expected the first line `#X3D V3.0 utf8`"),
         (b"\x1f\x8bxx", "is a damaged gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n")[:-9], "is a truncated gzip file"),
         (gzip.compress(b"#VRML V2.0 utf8\n" + b" " * 60_000_000),
@@ -298,7 +298,7 @@ def test_nested_uses_and_protos_terminate(tmp_path: Path) -> None:
     for k, lines in enumerate((uses, [*protos, "P39 {}"])):
         path = tmp_path / f"{k}.wrl"
         path.write_text("#VRML V2.0 utf8\n" + "\n".join(lines))
-        many = "has more than 100,000 nodes, counting those of every USE"
+        many = "has more than 100,000 nodes, including those of every USE"
         with raises_with(file=str(path), reason=many):
             read_wrl(path)
 

@@ -8,7 +8,7 @@
 #include <cstdint>
 
 constexpr int JOINTS = 7;
-constexpr const char* HOST = "127.0.0.1";  // where sero-mj runs
+constexpr const char* HOST = "127.0.0.1";  // machine that runs sero-mj
 constexpr std::uint16_t PORT = 32000;
 
 class SeroMj {

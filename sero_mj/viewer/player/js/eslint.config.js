@@ -8,7 +8,7 @@ export default [
     rules: { eqeqeq: "error", "no-var": "error", "prefer-const": "error" },
   },
   {
-    // Scripts, not modules: a global variable is how they share access to the server.
+    // These files are scripts, not modules, and share access to the server in global variables.
     files: ["web/static/*.js"],
     languageOptions: { sourceType: "script", globals: { access: "writable", drops: "writable" } },
     rules: { "no-var": "off", "no-redeclare": "off" },

@@ -1,24 +1,24 @@
-// The secret token of a page, see `guard.py`. A link brings it; this browser stores it for reloads
-// and further tabs, and the address bar loses it.
-var access = { locked: "This page is locked. Open the link that sero-mj printed where it was started: "
-  + "the link contains the token of this page." };
+// The secret token of a page, see `guard.py`, is in the link. This script stores it for reloads and
+// further tabs, and removes it from the address bar.
+var access = { locked: "This page is locked. Open the link that sero-mj printed when it was started. "
+  + "The link contains the token of this page." };
 {
   const STORED = "sero-mj token";
   const address = new URL(location.href);
-  const given = address.searchParams.get("token") ?? "";
+  const inLink = address.searchParams.get("token") ?? "";
   try {
-    if (given !== "") {
-      localStorage.setItem(STORED, given);
+    if (inLink !== "") {
+      localStorage.setItem(STORED, inLink);
       address.searchParams.delete("token");
       history.replaceState(null, "", address);
     }
-  } catch { /* The browser stores nothing, so the token stays in the address. */ }
+  } catch { /* The browser does not store data, so the token remains in the address. */ }
   // Another tab may have stored the token of a server that was started later.
   access.token = () => {
     try {
-      return localStorage.getItem(STORED) ?? given;
+      return localStorage.getItem(STORED) ?? inLink;
     } catch {
-      return given;
+      return inLink;
     }
   };
 }
@@ -34,7 +34,7 @@ access.socket = function (path) {
 };
 // Resolves when another tab has stored another token.
 access.unlocked = () => new Promise((done) => addEventListener("storage", done, { once: true }));
-// Whether this tab was in control before a reload, or of the page that was served before.
+// Returns whether this tab was in control before a reload, or in control of the previous page.
 access.hadControl = function () {
   try {
     return sessionStorage.getItem("sero-mj control") === "1";
@@ -45,9 +45,9 @@ access.hadControl = function () {
 access.noteControl = function (isInControl) {
   try {
     sessionStorage.setItem("sero-mj control", isInControl ? "1" : "");
-  } catch { /* The browser stores nothing, so the first one that comes back has control. */ }
+  } catch { /* The browser does not store data, so the first browser that reconnects gets control. */ }
 };
-// Returns which page is served now, "locked" without a valid token, or "" without an answer.
+// Returns the name of the page that is served now, "locked" without a valid token, or "" without an answer.
 access.page = async function () {
   try {
     const answer = await fetch(access.url("/sero-mj/page"));

@@ -1,4 +1,4 @@
-// Light or dark, which the browser stores for all pages.
+// The browser stores the look, light or dark, for all pages.
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 const setLook = (look) => {
   document.documentElement.dataset.look = look;
@@ -20,12 +20,12 @@ const add = (parent, kind, text = "", name = "") => {
 const line = new WebSocket(access.socket("/sero-mj/start"));
 line.binaryType = "arraybuffer";
 const send = (message) => line.send(JSON.stringify(message));
-const lock = () => drops.tell(access.locked, true, 1e6);
+const lock = () => drops.notify(access.locked, true, 1e6);
 
-// Who is in control: only that browser can open something.
+// Only the browser in control can open a view or file.
 let you = null, control = null;
 const isInControl = () => you !== null && control?.holder === you.id;
-const act = (message) => isInControl() ? send(message) : drops.tell("another browser has control");
+const act = (message) => isInControl() ? send(message) : drops.notify("another browser has control");
 Object.assign(drops, { may: isInControl, key: () => you?.key ?? "" });
 document.getElementById("take").onclick = () => send({ t: "control" });
 
@@ -36,7 +36,7 @@ search.oninput = async () => {
   const answer = await fetch(url);
   if (answer.status === 403) return lock();
   const page = await answer.json();
-  if (words !== search.value) return; // the text has changed since
+  if (words !== search.value) return; // The text has changed since the request.
   document.querySelector("h1").textContent = page.title;
   search.placeholder = page.search;
   for (const [id, key] of [["tagline", "tagline"], ["hint", "drop"], ["more", "more"]]) {
@@ -49,11 +49,11 @@ search.oninput = async () => {
     const grid = add(all, "div", "", "tiles");
     for (const { number, title, about, has_picture } of tiles) {
       const tile = add(grid, "button");
-      const picture = add(tile, has_picture ? "img" : "div", "", has_picture ? "" : "none");
+      const image = add(tile, has_picture ? "img" : "div", "", has_picture ? "" : "none");
       if (has_picture) {
-        picture.loading = "lazy";
-        picture.alt = "";
-        picture.src = access.url(`/sero-mj/pictures/${number}`);
+        image.loading = "lazy";
+        image.alt = "";
+        image.src = access.url(`/sero-mj/pictures/${number}`);
       }
       add(tile, "strong", title);
       add(tile, "span", about, "dim");
@@ -65,7 +65,7 @@ search.oninput();
 
 let shownData = "";
 function showData(awaited) {
-  if (JSON.stringify(awaited) === shownData) return; // so that buttons do not move under the pointer
+  if (JSON.stringify(awaited) === shownData) return; // Buttons must not move under the pointer.
   shownData = JSON.stringify(awaited);
   const list = document.getElementById("data");
   list.replaceChildren();
@@ -85,7 +85,7 @@ function showData(awaited) {
   }
 }
 
-// A message has its sections as JSON behind the length of that text, see `sections.py`.
+// A message has the length of a JSON text and then the text with the sections, see `sections.py`.
 line.onmessage = ({ data }) => {
   const length = new DataView(data).getUint32(0, true);
   const { json } = JSON.parse(new TextDecoder().decode(new Uint8Array(data, 4, length)));
@@ -99,22 +99,22 @@ line.onmessage = ({ data }) => {
   }
   document.getElementById("control").hidden = you === null || control === null || isInControl();
   if (json.awaited) showData(json.awaited);
-  if (json.notice) drops.tell(json.notice.text, json.notice.isBad, json.notice.seconds);
+  if (json.notice) drops.notify(json.notice.text, json.notice.isBad, json.notice.seconds);
 };
-// The chosen scene is soon served at this address.
-const SOON = 20; // s
+// After the start page, the server serves the chosen scene at the same address.
+const OPENING_TIME = 20; // maximum time until the scene is served, s
 line.onclose = async () => {
   const begin = performance.now();
-  if (you !== null) drops.tell("opening ...", false, SOON);
-  for (let isTold = false;;) {
+  if (you !== null) drops.notify("opening ...", false, OPENING_TIME);
+  for (let isReported = false;;) {
     const page = await access.page();
     if (page === "locked") {
       lock();
       await access.unlocked();
     } else if (page !== "") return location.reload();
-    else if (!isTold && performance.now() - begin > 1000 * SOON) {
-      drops.tell("sero-mj is not running", true, 3600);
-      isTold = true;
+    else if (!isReported && performance.now() - begin > 1000 * OPENING_TIME) {
+      drops.notify("sero-mj is not running", true, 3600);
+      isReported = true;
     }
     await new Promise((done) => setTimeout(done, 250));
   }
@@ -123,6 +123,6 @@ for (const id of ["files", "folder"]) {
   document.getElementById(id).onchange = ({ target }) => {
     const path = (file) => file.webkitRelativePath || file.name;
     drops.take([...target.files].map((file) => ({ path: path(file), file })));
-    target.value = ""; // so that the same file can be chosen again
+    target.value = ""; // Otherwise, the same file could not be chosen again.
   };
 }

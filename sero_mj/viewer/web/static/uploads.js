@@ -1,18 +1,18 @@
 // Sends dropped files, and folders with their contents, to the page's server.
-const CHUNK = 262144; // bytes
-// `may` returns whether this browser is in control, and `key` the key of its connection.
-var drops = { may: () => true, key: () => "", told: "" };
-drops.tell = function (text, isBad = true, seconds = 12) {
+const CHUNK = 262144; // size of a part of a file, bytes
+// `may` returns whether this browser is in control, and `key` returns the key of its connection.
+var drops = { may: () => true, key: () => "", text: "" };
+drops.notify = function (text, isBad = true, seconds = 12) {
   let box = document.getElementById("sero-told");
   if (box === null) {
     box = document.body.appendChild(document.createElement("div"));
     box.id = "sero-told";
   }
-  drops.told = box.textContent = text;
+  drops.text = box.textContent = text;
   box.style.color = isBad ? "#ff8a73" : "#9fd8a4";
   box.style.display = text === "" ? "none" : "block";
   clearTimeout(drops.timer);
-  drops.timer = setTimeout(() => drops.tell(""), 1000 * seconds);
+  drops.timer = setTimeout(() => drops.notify(""), 1000 * seconds);
 };
 drops.show = function (isShown) {
   let cover = document.getElementById("sero-drop");
@@ -23,13 +23,14 @@ drops.show = function (isShown) {
   }
   cover.style.display = isShown ? "flex" : "none";
 };
-drops.inside = async function (entry) { // all files of a folder, or the file
+// Returns all files of a dropped folder, or a dropped file.
+drops.inside = async function (entry) {
   if (entry.isFile) {
     const file = await new Promise((done, failed) => entry.file(done, failed));
     return [{ path: entry.fullPath.replace(/^\//, ""), file }];
   }
   const reader = entry.createReader(), found = [];
-  for (;;) { // a reader returns some entries at a time
+  for (;;) { // A reader returns a few entries per call.
     const some = await new Promise((done, failed) => reader.readEntries(done, failed));
     if (some.length === 0) return found;
     for (const each of some) found.push(...await drops.inside(each));
@@ -39,7 +40,7 @@ drops.send = async function (files) {
   const line = new WebSocket(access.socket("/sero-mj/files"));
   line.onmessage = ({ data }) => {
     const { error, opening } = JSON.parse(data);
-    if (error) drops.tell(error); else drops.tell(`opening ${opening} ...`, false, 4);
+    if (error) drops.notify(error); else drops.notify(`opening ${opening} ...`, false, 4);
     line.close();
   };
   await new Promise((done, failed) => { line.onopen = done; line.onerror = failed; });
@@ -55,11 +56,11 @@ drops.send = async function (files) {
   }
 };
 drops.take = async function (files) {
-  if (!drops.may()) return drops.tell("another browser has control of this page");
+  if (!drops.may()) return drops.notify("another browser has control of this page");
   try {
     await drops.send(files);
   } catch (error) {
-    drops.tell(`the files could not be sent: ${error.message || "no connection"}`);
+    drops.notify(`the files could not be sent: ${error.message || "no connection"}`);
   }
 };
 for (const kind of ["dragenter", "dragover", "dragleave", "drop"]) {
@@ -71,7 +72,7 @@ for (const kind of ["dragenter", "dragover", "dragleave", "drop"]) {
     if (kind !== "drop") return;
     const items = [...event.dataTransfer.items].filter(({ kind }) => kind === "file");
     const entries = items.map((item) => item.webkitGetAsEntry?.() ?? null);
-    const plain = items.map((item) => item.getAsFile()); // before the event is over
+    const plain = items.map((item) => item.getAsFile()); // This works only during the event.
     const files = [];
     for (const [k, entry] of entries.entries()) {
       if (entry !== null) files.push(...await drops.inside(entry));

@@ -1,4 +1,4 @@
-/** Arrows of joints: round arrows, which a shader bends about axes, and straight arrows along axes. */
+/** The arrows of joints: round arrows, which a shader bends about axes, and straight arrows along axes. */
 
 import * as THREE from "three";
 import { ARROW } from "./geoms.js";
@@ -6,7 +6,7 @@ import { ARROW } from "./geoms.js";
 /** @typedef {import("./data.js").Run} Run */
 
 /**
- * Returns the width of an arrow, m; 0 if it is too small to be visible. See `arrow_widths` in Python.
+ * Returns the width of an arrow in m, or 0 if it is too small to be visible. See `arrow_widths` in Python.
  * @param {import("./data.js").Arrow} arrow @param {number} value @param {number} invisible
  */
 export function widthOf(arrow, value, invisible) {
@@ -21,7 +21,7 @@ export function widthOf(arrow, value, invisible) {
   return width > invisible * arrow.radius ? width : 0;
 }
 
-/** The boxes and heads of the ribbon, as positions along the arc. @param {any} shape */
+/** Returns the boxes and heads of a ribbon, with positions along the arc. @param {any} shape */
 function ribbon(shape) {
   /** @type {number[]} */
   const along = [];
@@ -59,7 +59,7 @@ function ribbon(shape) {
   return geometry;
 }
 
-/** Position of a vertex in the joint's frame; a test compares it with the geoms that Python draws. */
+/** GLSL code for the position of a vertex in the joint's frame. A test compares it with geoms drawn by Python. */
 const PLACE = `
   float r = how.x, w = how.y, turn = how.w, grown = min(w / (.14 * r), 1.);
   float wide = w * along.z + (.5 * w + .28 * r * grown) * along.w;
@@ -69,12 +69,12 @@ const PLACE = `
   vec3 transformed = vec3(far * out2 + along.y * r * vec2(-out2.y, out2.x), .5 * wide * across.y);
   dark = across.z * striped;`;
 
-const STRAIGHT = 100; // mjGEOM_ARROW, drawn half as long as its size
+const STRAIGHT = 100; // mjGEOM_ARROW, whose length is half of its size
 const centre = new THREE.Vector3(), along = new THREE.Vector3(), turn = new THREE.Quaternion();
 const one = new THREE.Vector3(), BACK = new THREE.Quaternion(1, 0, 0, 0); // rotation by 180 degrees about x
 
 /**
- * Adds the arrows of prismatic joints, as drawn by `RoundArrows` in Python.
+ * Adds the arrows of prismatic joints, as `RoundArrows` in Python does.
  * @param {Run} run @param {number} at frame, with a fraction
  * @param {THREE.Matrix4[]} sites of all joints
  * @param {(joint: number) => boolean} isOn @param {import("./geoms.js").Geoms} to

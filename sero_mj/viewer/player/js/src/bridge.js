@@ -1,28 +1,28 @@
 /**
- * Connects the pages in the cells of a notebook with the kernel: an anywidget without a view.
+ * Connects the pages in the cells of a notebook with the kernel, as an anywidget without a view.
  *
- * Pages are iframes in the same notebook. Several browsers, and several cells, may show one page.
+ * Pages are iframes in the same notebook. Several browsers and several cells may show one page.
  */
 
 /** @typedef {{get: (name: string) => any, send: (content: object, callbacks?: object, buffers?: ArrayBuffer[]) => void,
  *   on: (event: string, act: (content: any, buffers: DataView[]) => void) => void}} Model */
 
-const FIRST = "first"; // the connection that the kernel opens when it shows the cell
-const MOST_EARLY = 2000; // messages that wait for the first page
+const FIRST = "first"; // name of the connection that the kernel opens when it shows the cell
+const MAX_EARLY = 2000; // maximum number of messages that are stored for the first page
 
 /** Forwards messages between pages and the kernel. @param {{model: Model}} widget */
 function initialize({ model }) {
   const cell = model.get("cell");
   /** @type {Map<string, MessageEventSource>} */
   const pages = new Map();
-  // The first page that comes gets what has been sent to the first connection from its start on. So
-  // it need not ask a kernel that is busy with its cell, and hears it only at the end.
+  // The first page receives all messages that the kernel has sent to the first connection. The page
+  // need not send a request, because a kernel that is executing a cell would only receive it afterwards.
   /** @type {string | null} */
   let first = null;
   /** @type {{kind: string, message?: ArrayBuffer | string}[] | null} */
   let early = null;
-  /** @param {string | null} to @param {{kind: string, message?: ArrayBuffer | string}} said */
-  const tell = (to, said) => pages.get(to ?? "")?.postMessage({ cell, to, ...said }, { targetOrigin: "*" });
+  /** @param {string | null} to @param {{kind: string, message?: ArrayBuffer | string}} packet */
+  const forward = (to, packet) => pages.get(to ?? "")?.postMessage({ cell, to, ...packet }, { targetOrigin: "*" });
   /** @param {MessageEvent} event */
   const toKernel = ({ data, source }) => {
     if (data?.cell !== cell || typeof data.from !== "string" || !source) return;
@@ -30,7 +30,7 @@ function initialize({ model }) {
     pages.set(from, source);
     if (kind === "open" && early) {
       first = from;
-      for (const said of early) tell(first, said);
+      for (const packet of early) forward(first, packet);
       early = null;
       return;
     }
@@ -42,12 +42,12 @@ function initialize({ model }) {
   model.on("msg:custom", ({ to, kind, message }, buffers) => {
     const bytes = buffers?.[0];
     const content = bytes ? bytes.buffer.slice(bytes.byteOffset, bytes.byteOffset + bytes.byteLength) : message;
-    const said = { kind, message: content };
-    if (to !== FIRST) return tell(to, said);
+    const packet = { kind, message: content };
+    if (to !== FIRST) return forward(to, packet);
     if (kind === "opened" && first === null) early = [];
-    else if (kind === "closed" || (early?.length ?? 0) > MOST_EARLY) early = null;
-    if (early) early.push(said);
-    else tell(first, said);
+    else if (kind === "closed" || (early?.length ?? 0) > MAX_EARLY) early = null;
+    if (early) early.push(packet);
+    else forward(first, packet);
   });
   globalThis.addEventListener("message", toKernel);
   return () => globalThis.removeEventListener("message", toKernel);

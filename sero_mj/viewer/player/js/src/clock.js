@@ -1,8 +1,8 @@
-/** The displayed time, which plays, loops, or is stepped frame by frame. */
+/** The displayed time of a recorded run. */
 
 export const SPEEDS = [0.1, 0.25, 0.5, 1, 2, 5];
 
-/** The displayed frame, with a fraction while playing. */
+/** Determines the displayed frame, which has a fractional part while the run is playing. */
 export class Clock {
   /** @param {number} frames @param {number} fps */
   constructor(frames, fps) {
@@ -17,7 +17,7 @@ export class Clock {
   /** The nearest frame. */
   get frame() { return Math.round(this.at); }
 
-  /** The time since the start, s. */
+  /** The time since the start in s. */
   get time() { return this.at / this.fps; }
 
   get end() { return (this.frames - 1) / this.fps; }
@@ -37,7 +37,7 @@ export class Clock {
     this.speed = SPEEDS[Math.min(Math.max(at, 0), SPEEDS.length - 1)];
   }
 
-  /** Plays or pauses; at the end, plays from the start. */
+  /** Plays or pauses. At the end, plays from the start. */
   toggle() {
     if (!this.isPlaying && this.at >= this.frames - 1) this.at = 0;
     this.isPlaying = !this.isPlaying && this.frames > 1;

@@ -1,6 +1,6 @@
 /** Decodes the bytes of a run, which `encode.py` writes. */
 
-/** @typedef {[number, string, number]} Part number of the array, type and count of its elements */
+/** @typedef {[number, string, number]} Part number of the array, type and number of its elements */
 /** @typedef {{title: string, label: string, key: string, scale: number, decimals: number,
  *   unit: string}} Line */
 /** @typedef {{on: boolean, round: boolean, radius: number, opacity: number, scale: number,
@@ -12,20 +12,20 @@
  *   rgba: number[], mesh?: number, material?: number, isBack?: boolean}} Geom */
 /** @typedef {{finish: number[], texture: number, repeat: number[], uniform: boolean,
  *   roughness?: number, metallic?: number}} Material
- *   finish: emission, specular, shininess, reflectance; if set, roughness replaces shininess */
+ *   finish: emission, specular, shininess and reflectance. If roughness is set, it replaces shininess. */
 /** @typedef {{cube: boolean, width: number, height: number, pixels: Uint8Array}} Texture
- *   pixels: RGBA; a cube has six faces one after the other */
+ *   pixels: RGBA values. A cube has six faces one after the other. */
 /** @typedef {{rgba: number[], material?: number, uv?: Float32Array}} Soft */
 /** @typedef {Soft & {positions: Float32Array, triangles: Uint32Array, inflate: number,
  *   bones: {body: number, pos: number[], quat: number[], count: number}[],
  *   moved: Uint32Array, weights: Uint16Array}} Skin
- *   moved: vertices of the first bone, of the second one and so on, with weights in units of 1 / 65535 */
+ *   moved: indices of the vertices of each bone; weights: weights of these vertices in units of 1 / 65535 */
 /** @typedef {Soft & {dim: number, radius: number, first: number, count: number, flat: boolean,
  *   triangles: Uint32Array, edges: Uint32Array}} Flex */
 /** @typedef {{body: number, type: number, pos: number[], dir: number[], diffuse: number[],
  *   ambient: number[], cutoff: number, exponent: number, shadow: boolean}} Lamp */
-/** @typedef {{ambient: number[], diffuse: number[], gloss: number, others: Lamp[]}} Lights of the
- *   model, with its headlight; gloss: brightness of reflections of lamps relative to surfaces */
+/** @typedef {{ambient: number[], diffuse: number[], gloss: number, others: Lamp[]}} Lights
+ *   ambient, diffuse: headlight of the model; gloss: brightness of lamp reflections relative to surfaces */
 /** @typedef {{sky: number[][], tiles: number[][], haze: number[], key: number, bulb: number,
  *   fill: number[], reflections: number[][]}} Palette displayed colors, and light relative to white */
 /** @typedef {{looks: {light: Palette, dark: Palette}, towards: number[], floor: {height: number,
@@ -58,7 +58,7 @@ export async function inflate(text) {
   return new Response(stream).arrayBuffer();
 }
 
-/** Reads the arrays behind the head. */
+/** Reads the arrays that follow the head. */
 class Arrays {
   /** @param {ArrayBuffer} bytes @param {number[]} lengths @param {number} begin */
   constructor(bytes, lengths, begin) {
@@ -84,7 +84,7 @@ class Arrays {
   }
 
   /**
-   * Reads channels (C, F), which are stored as differences in time.
+   * Reads channels, shape (C, F), which are stored as differences between frames.
    * @param {Part} part @param {number} frames @param {number} step
    */
   moving(part, frames, step) {
@@ -96,7 +96,7 @@ class Arrays {
     return numbers;
   }
 
-  /** Reads integers, which are stored as folded differences of neighbors. @param {Part} part */
+  /** Reads integers, which are stored as differences between neighbors in the form of `unfold`. @param {Part} part */
   differing(part) {
     const folded = this.get(part), numbers = new Uint32Array(folded.length);
     for (let i = 0, at = 0; i < folded.length; i++) numbers[i] = at += unfold(folded[i]);
@@ -104,7 +104,7 @@ class Arrays {
   }
 
   /**
-   * Reads positions (n, dimensions), which are stored as steps from the lower bounds.
+   * Reads positions, shape (n, dimensions), which are stored as steps from the lower bounds.
    * @param {Part} part @param {number[]} low @param {number} step
    */
   places(part, low, step) {
@@ -163,7 +163,7 @@ class Arrays {
   }
 }
 
-/** Decodes a unit vector from octahedral encoding. @param {number} u @param {number} v */
+/** Converts the octahedral encoding of a unit vector to the vector. @param {number} u @param {number} v */
 export function normalOf(u, v) {
   let x = u / 127, y = v / 127;
   const z = 1 - Math.abs(x) - Math.abs(y);
@@ -181,7 +181,7 @@ export function normalOf(u, v) {
 export function decode(bytes) {
   const size = new DataView(bytes).getUint32(0, true);
   const head = JSON.parse(new TextDecoder().decode(new Uint8Array(bytes, 4, size)));
-  if (head.version !== VERSION) throw new Error(`found format ${head.version}`);
+  if (head.version !== VERSION) throw new Error(`found format ${head.version}, expected ${VERSION}`);
   const arrays = new Arrays(bytes, head.lengths, 4 + size);
   /** @type {number} */
   const frames = head.frames;
@@ -208,7 +208,7 @@ export function decode(bytes) {
     begin: /** @type {number} */ (head.begin),
     frames,
     eye: /** @type {Eye} */ (head.eye),
-    /** Displacement of the free camera with the frame that it follows, m. */
+    /** Displacement of the free camera, which follows a frame, m. */
     follow: head.follow ? moving(head.follow, metre) : null,
     cameras: /** @type {Camera[]} */ (head.cameras),
     bodies: /** @type {{name: string, joint: number, double: number, moves: boolean}[]} */ (head.bodies),
@@ -239,7 +239,7 @@ export function decode(bytes) {
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),
-      /** Quantities that the arrows can show, the current one first. */
+      /** Quantities that the user can choose for arrows, with the current one first. */
       quantities: /** @type {{key: string, name: string, line: string}[]} */ (head.arrows.quantities ?? []),
     },
     items: { of: /** @type {[number, number, number][]} */ (head.items.of), ...(items || null) },
@@ -248,13 +248,13 @@ export function decode(bytes) {
       positions: moving(head.labels.positions, metre),
     } : null,
     notes: read(head.notes),
-    /** Lines of the legend by frame; null for the line about the quantity of the arrows. */
+    /** Lines of the legend in each frame. The line about the quantity of the arrows is null. */
     legend: /** @type {{texts: (string | null)[][], at: Float32Array}} */ (/** @type {unknown} */ (read(head.legend))),
-    cards: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
-      head.cards.map((/** @type {any} */ card) => ({ ...card, ...read(card) }))),
+    arrowTexts: /** @type {{item: number, name: string, texts: string[], at: Float32Array}[]} */ (
+      head.cards.map((/** @type {any} */ each) => ({ ...each, ...read(each) }))),
     vectors: /** @type {string[]} */ (head.vectors),
     marks: /** @type {Mark[]} */ (head.marks),
-    /** Meanings of labels on billboards, such as the file that A stands for. */
+    /** Mapping from labels on billboards to meanings, such as from A to a file name. */
     meanings: /** @type {Record<string, string>} */ (head.meanings ?? {}),
     switches: /** @type {Record<string, boolean>} */ (head.switches),
     silent: /** @type {string[]} */ (head.silent),
@@ -265,7 +265,7 @@ export function decode(bytes) {
 
 /**
  * Returns a function that interpolates channels between two frames.
- * @param {number} at frame, with a fraction @param {number} frames
+ * @param {number} at frame with a fractional part @param {number} frames
  * @returns {(of: Float32Array, channel: number) => number}
  */
 export function mixer(at, frames) {
@@ -274,7 +274,7 @@ export function mixer(at, frames) {
 }
 
 /**
- * Returns the raw value for a line of a billboard: a received value, a limit, or a fraction of it.
+ * Returns the value for a line of a billboard: a recorded value, the torque limit, or the torque in percent of it.
  * @param {Run} run @param {number} joint @param {string} key @param {number} frame
  */
 export function valueOf(run, joint, key, frame) {
@@ -287,7 +287,7 @@ export function valueOf(run, joint, key, frame) {
 }
 
 /**
- * Formats a number with a number of decimals; 0 has no sign.
+ * Formats a value with a number of decimals. The text of 0 has no sign.
  * @param {number} value @param {number} digits
  */
 export function fixed(value, digits) {
@@ -295,7 +295,7 @@ export function fixed(value, digits) {
   return /^-[0.]+$/.test(text) ? text.slice(1) : text;
 }
 
-/** Formats the number of a line as Python does. @param {Line} line @param {number} value */
+/** Formats the value of a billboard line as Python does. @param {Line} line @param {number} value */
 export function textOf(line, value) {
   if (!Number.isFinite(value)) return line.key === "torque_limit" ? "none" : "no data";
   const scaled = value * line.scale;

@@ -1,24 +1,24 @@
-/** Geoms of decor at one time, in arrays that grow as needed. */
+/** The geoms of overlays, such as arrows and axes, at one time. */
 
 /** @typedef {import("./data.js").Run} Run */
 
-/** Kinds of items, `Kind` in Python: arrows and billboards of joints, and smart arrows. */
+/** Kinds of items as in the Python enum `Kind`: arrows and billboards of joints, and smart arrows. */
 export const ARROW = 1, BILLBOARD = 2, VECTOR = 5;
 
-/** A list of `count` geoms. */
+/** A list of `count` geoms, stored in arrays that grow as needed. */
 export class Geoms {
   capacity = 0;
   count = 0;
   /** Kind, item and type of each geom. */
   of = new Int32Array();
   positions = new Float32Array();
-  /** Quaternions, w first. */
+  /** Quaternions in the order w, x, y, z. */
   rotations = new Float32Array();
   sizes = new Float32Array();
-  /** 0 to 255. */
+  /** Color components and opacity from 0 to 255. */
   rgba = new Uint8Array();
 
-  /** Sets the number of geoms. The caller then sets the values. @param {number} count */
+  /** Sets the number of geoms. The caller must then set their values. @param {number} count */
   resize(count) {
     this.count = count;
     if (count <= this.capacity) return;
@@ -31,7 +31,7 @@ export class Geoms {
   }
 
   /**
-   * Adds a geom if there is space. The caller then sets the values.
+   * Adds a geom, for which there must be space, and returns its index. The caller must then set its values.
    * @param {number[]} of kind, item and type
    */
   add(...of) {
@@ -41,7 +41,7 @@ export class Geoms {
 }
 
 /**
- * Collects the visible geoms of a run at a frame, and leaves space for the arrows of the joints.
+ * Collects the visible geoms of a run at a frame. Space for the arrows of joints is reserved.
  * @param {Run} run @param {number} frame @param {boolean} hasArrows whether arrows are on
  * @param {Geoms} to
  */

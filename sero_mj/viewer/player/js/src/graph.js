@@ -1,4 +1,4 @@
-/** A plot of a panel: colored lines with gaps, and limits. */
+/** A plot in a panel, with colored lines that may have gaps, and limits. */
 
 import uPlot from "uplot";
 import { fixed } from "./data.js";
@@ -7,14 +7,15 @@ import { made, mark } from "./page.js";
 /** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[], isDashed?: boolean, tip?: string}} Line */
 /** @typedef {{x: string, y: string, xRange: [number, number], yRange: [number, number],
  *   limits: number[], height: number, lines: Line[], name?: string, now?: number}} Content
- *   x: unit; y: quantity with the unit; name: name of the plotted signal; now: displayed x, which clicks change */
+ *   x: unit of the x axis; y: quantity and unit of the y axis; name: name of the plotted signal;
+ *   now: displayed time, which the user changes with clicks */
 
 const LIMIT = "rgb(217 77 77)";
 
 /** @param {string} name */
 const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-const DARKER = 0.62; // line colors are made for windows, which are dark
+const DARKER = 0.62; // factor for line colors in the light look, because the colors are for dark windows
 
 /** @param {number[]} rgb 0 to 1 */
 const colourOf = (rgb) => {
@@ -23,7 +24,7 @@ const colourOf = (rgb) => {
 };
 
 /**
- * Returns the values of lines in the format of uPlot, in which all lines share the x coordinates.
+ * Returns the values of lines in the format of uPlot, in which all lines have the same x coordinates.
  * @param {Line[]} lines @returns {uPlot.AlignedData}
  */
 export function dataOf(lines) {
@@ -33,7 +34,7 @@ export function dataOf(lines) {
   return uPlot.join(lines.map(({ x, y }) => /** @type {uPlot.AlignedData} */ ([x, y])));
 }
 
-/** Creates the heading of a plot: quantity with the unit, and the lines. @param {Content} content */
+/** Creates the heading of a plot, with quantity, unit and names of the lines. @param {Content} content */
 function namesOf({ y, lines }) {
   return [made("span", y), ...lines.map(({ name, rgb, isDashed, tip }) => {
     const entry = made("span", "", tip ? { title: tip } : {}), line = made("i", "");
@@ -43,7 +44,7 @@ function namesOf({ y, lines }) {
   })];
 }
 
-/** Returns the time axis, with the unit at every number. @param {string} unit */
+/** Returns the options of a time axis, which shows the unit at every number. @param {string} unit */
 const timeAxis = (unit) => ({
   values: (/** @type {unknown} */ _, /** @type {number[]} */ all) => all.map((each) => `${each} ${unit}`),
 });
@@ -57,9 +58,9 @@ export function digitsOf(step) {
 
 const SPACE = 30; // minimum distance between two numbers, pixels
 
-/** The axis of values, with enough digits to distinguish the numbers, and space for them. @type {uPlot.Axis} */
+/** Options of the value axis, which shows enough digits to distinguish the numbers. @type {uPlot.Axis} */
 const VALUE_AXIS = {
-  // Steps are at most 2.5 times as long as necessary, so that low plots also have two numbers.
+  // Steps are at most 2.5 times as long as necessary, so that short plots also have two numbers.
   space: (_plot, _axis, _min, _max, length) => Math.min(SPACE, length / 5),
   values: (_plot, all, _axis, _space, step) => {
     const digits = digitsOf(step);
@@ -81,8 +82,8 @@ export class Graph {
     this.plot = null;
     /** @type {Content | null} */
     this.content = null;
-    this.look = ""; // properties that uPlot cannot change
-    this.drawn = ""; // look with which the lines were drawn
+    this.look = ""; // properties that uPlot cannot change later, as JSON
+    this.drawn = ""; // value of `look` when the lines were last drawn
     this.seen = new ResizeObserver(() => this.plot?.setSize(this.#size()));
     this.seen.observe(this.room);
   }
@@ -137,7 +138,7 @@ export class Graph {
     mark(this.room, "aria-label", `${what}: ${content.lines.map(({ name }) => name).join(", ")}`);
   }
 
-  /** Seeks the time at which the user presses, in a plot that shows a time. @param {uPlot} plot */
+  /** Makes a plot with a displayed time seek the time at which the user presses. @param {uPlot} plot */
   #listen({ over }) {
     /** @param {PointerEvent} event */
     const seek = (event) => {

@@ -1,14 +1,14 @@
-/** Detects whether a pointer is on a handle, with a tolerance because handles are thin. */
+/** Detects whether the pointer is on a drag handle. The tolerance is necessary because handles are thin. */
 
 import * as THREE from "three";
 
-const HANDLE = 8; // `Kind` in Python
+const HANDLE = 8; // value of the Python enum `Kind`
 const SPHERE = 2, ARROW = 100, ARROW2 = 102; // mjtGeom
 
 const turn = new THREE.Quaternion(), along = new THREE.Vector3(), end = new THREE.Vector3();
 
 /**
- * Computes the ends of the center line of a geom, and returns the radius, m.
+ * Computes the ends of the center line of a geom, and returns its radius in m.
  * @param {import("./geoms.js").Geoms} geoms @param {number} k
  * @param {THREE.Vector3} from @param {THREE.Vector3} to
  */
@@ -29,8 +29,8 @@ function lineOf({ of, positions, rotations, sizes }, k, from, to) {
   return Math.min(...size.filter((_, c) => c !== longest));
 }
 
-/** Returns the distance of a point from the segment between two points, pixels. @typedef {{x: number, y: number}} Pixel */
-/** @param {Pixel} at @param {Pixel} a @param {Pixel} b */
+/** @typedef {{x: number, y: number}} Pixel */
+/** Returns the distance in pixels of a point from the line segment between two points. @param {Pixel} at @param {Pixel} a @param {Pixel} b */
 export function distanceTo(at, a, b) {
   const [x, y] = [b.x - a.x, b.y - a.y], length = x * x + y * y;
   const share = length ? Math.min(Math.max(((at.x - a.x) * x + (at.y - a.y) * y) / length, 0), 1) : 0;
@@ -38,13 +38,13 @@ export function distanceTo(at, a, b) {
 }
 
 /**
- * Returns whether a pixel is on or near a handle.
+ * Returns whether a pixel is on a handle or close to it.
  * @param {import("./stage.js").Stage} stage @param {import("./geoms.js").Geoms} geoms
  * @param {Pixel} at @param {number} tolerance pixels
  */
 export function isOnHandle(stage, geoms, at, tolerance) {
   const from = new THREE.Vector3(), to = new THREE.Vector3();
-  const perMetre = stage.size.height / (2 * Math.tan(stage.camera.fov / 360 * Math.PI)); // 1 m away
+  const perMetre = stage.size.height / (2 * Math.tan(stage.camera.fov / 360 * Math.PI)); // at a distance of 1 m
   for (let k = 0; k < geoms.count; k++) {
     if (geoms.of[3 * k] !== HANDLE) continue;
     const radius = lineOf(geoms, k, from, to), away = end.copy(from).distanceTo(stage.camera.position);

@@ -2,31 +2,33 @@
 
 import { isTakenBy, nameOf } from "./keys.js";
 
-/** @typedef {{x: number, y: number}} Pixel of the image, from its upper left corner */
+/** @typedef {{x: number, y: number}} Pixel distance from the upper left corner of the image */
 
 /**
- * The functions of the page that input uses.
+ * The functions of the page that `Input` calls.
  * @typedef {{send: (message: object) => void, canAct: () => boolean, isDragging: () => boolean,
  *   isOnHandle: (at: Pixel, tolerance: number) => boolean, isOnSomething: (at: Pixel) => boolean, setTurning: (isOn: boolean) => void,
  *   localKey: (name: string) => boolean, wake: () => void}} Page
- *   canAct: whether this browser is in control; setTurning: whether drags rotate the camera;
- *   localKey: performs the action of a key that needs no server
+ *   canAct: returns whether this browser is in control; setTurning: sets whether drags rotate the camera;
+ *   localKey: performs the action of a key without the server, and returns whether there is one
  */
 
-const HOLD = 500; // ms; a finger that is still for this time grabs a link
-const STILL = 8; // pixels; a finger that moves less is still
-const TOLERANCE = 4, FINGER = 12; // pixels around a handle, for a mouse and for a finger
-const STEP = 100, LINES = 3; // pixels of the screen, or lines, per notch of a wheel
-/** Number of a button in messages, by the browser's number. */
+const HOLD = 500; // time after which a finger that does not move grabs a link, ms
+const STILL = 8; // maximum motion of a finger that does not move, pixels
+const TOLERANCE = 4, FINGER = 12; // tolerances around a handle for a mouse and for a finger, pixels
+const STEP = 100, LINES = 3; // number of screen pixels or lines per notch of a wheel
+/** For each button number of the browser: the number in messages. */
 const BUTTONS = [0, 2, 1];
 
 /**
- * Notches of a wheel event away from the user, independent of the screen and of the page's zoom.
+ * Returns the number of notches of a wheel event, positive away from the user.
+ *
+ * The number does not depend on the screen and on the zoom of the page.
  * @param {{deltaMode: number, deltaY: number}} event @param {number} ratio pixels of the screen per pixel of the page
  */
 export const stepsOf = ({ deltaMode, deltaY }, ratio) => -deltaY * (deltaMode ? 1 / LINES : ratio / STEP);
 
-/** The input of a page. */
+/** Sends the user's input on a live page to the server. */
 export class Input {
   /** @param {HTMLCanvasElement} canvas @param {Page} page */
   constructor(canvas, page) {
@@ -40,20 +42,20 @@ export class Input {
     this.hold = undefined;
     this.from = { x: 0, y: 0 }; // position at which a finger was put down
     this.isPressed = false;
-    this.isOver = false; // whether the server knows a pointer over the image
+    this.isOver = false; // whether the server has received a pointer position over the image
     /** @type {[keyof HTMLElementEventMap, (event: any) => void][]} */
     const listeners = [["pointerdown", (event) => this.#press(event)], ["pointermove", (event) => this.#move(event)],
       ["pointerup", (event) => this.#release(event)], ["pointercancel", (event) => this.#cancel(event)],
       ["pointerenter", (event) => this.#enter(event)], ["pointerleave", (event) => this.#leave(event)]];
-    // Before the camera controls, which depend on `setTurning`.
+    // These listeners must be called before those of the camera controls, which depend on `setTurning`.
     for (const [name, listener] of listeners) canvas.addEventListener(name, listener, { capture: true, passive: false });
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     addEventListener("keydown", (event) => this.#key(event));
-    // Anywhere on the page: during a drag, the wheel belongs to the dragged item.
+    // During a drag, the wheel changes the dragged item, wherever the pointer is on the page.
     addEventListener("wheel", (event) => this.#wheel(event), { capture: true, passive: false });
   }
 
-  /** The pixel of an event; the center of its element if a key has caused the click. @param {MouseEvent} event @returns {Pixel} */
+  /** Returns the pixel of an event. If a key has caused the click, this is the center of the element. @param {MouseEvent} event @returns {Pixel} */
   pixelOf({ clientX, clientY, detail, type, target }) {
     const { left, top } = this.canvas.getBoundingClientRect();
     if (type !== "click" || detail) return { x: clientX - left, y: clientY - top };
@@ -62,7 +64,7 @@ export class Input {
   }
 
   /** @param {string} kind @param {PointerEvent} event */
-  #tell(kind, event) {
+  #send(kind, event) {
     if (!this.page.canAct()) return;
     if (kind !== "move") this.flush();
     this.isOver = kind !== "leave";
@@ -70,18 +72,18 @@ export class Input {
       shift: event.shiftKey || event.ctrlKey || event.metaKey, ctrl: event.ctrlKey || event.metaKey });
   }
 
-  /** Sends the last move of the pointer, if any. */
+  /** Sends the last motion of the pointer that was not sent yet. */
   flush() {
     const event = this.moved;
     this.moved = null;
-    if (event) this.#tell("move", event);
+    if (event) this.#send("move", event);
   }
 
   /** @param {PointerEvent} event */
   #press(event) {
     const isFinger = event.pointerType === "touch", at = this.pixelOf(event);
     this.fingers.add(event.pointerId);
-    if (this.fingers.size > 1) { // two fingers zoom
+    if (this.fingers.size > 1) { // Two fingers zoom.
       this.#cancel(event);
       this.fingers.add(event.pointerId);
       this.page.setTurning(true);
@@ -92,12 +94,12 @@ export class Input {
     this.page.setTurning(!isOurs);
     this.canvas.setPointerCapture(event.pointerId);
     this.isPressed = true;
-    this.#tell("press", event);
+    this.#send("press", event);
     if (!isFinger) return;
     this.from = at;
     this.hold = setTimeout(() => {
       if (!this.page.canAct()) return;
-      if (this.page.isOnSomething(at)) this.page.setTurning(false); // before the server answers
+      if (this.page.isOnSomething(at)) this.page.setTurning(false); // The answer of the server would be too late.
       this.page.send({ t: "hold" });
     }, HOLD);
   }
@@ -117,21 +119,21 @@ export class Input {
     clearTimeout(this.hold);
     if (!this.isPressed) return;
     this.isPressed = false;
-    this.#tell("release", event);
-    // After the camera controls have handled the event.
+    this.#send("release", event);
+    // The camera controls must handle the event before.
     setTimeout(() => this.page.setTurning(true));
   }
 
-  /** Cancels a drag: there is a second finger, or the browser handles the finger. @param {PointerEvent} event */
+  /** Cancels a drag, because there is a second finger or the browser handles the gesture. @param {PointerEvent} event */
   #cancel(event) {
     this.fingers.delete(event.pointerId);
     clearTimeout(this.hold);
     this.moved = null;
-    if (this.isPressed) this.#tell("leave", event);
+    if (this.isPressed) this.#send("leave", event);
     this.isPressed = false;
   }
 
-  /** An element that covered the mouse pointer has disappeared. @param {PointerEvent} event */
+  /** Handles the pointer when it enters the image, for example because a covering element has disappeared. @param {PointerEvent} event */
   #enter(event) {
     if (event.pointerType === "mouse") this.#move(event);
   }
@@ -140,7 +142,7 @@ export class Input {
   #leave(event) {
     if (this.isPressed) return;
     this.moved = null;
-    if (this.isOver) this.#tell("leave", event);
+    if (this.isOver) this.#send("leave", event);
   }
 
   /** @param {WheelEvent} event */

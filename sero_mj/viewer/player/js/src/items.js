@@ -1,4 +1,4 @@
-/** Decor that is drawn geom by geom: smart arrows, axes and the decor of other packages. */
+/** Overlays that are drawn as geoms: smart arrows, axes and the overlays of other packages. */
 
 import * as THREE from "three";
 import { VECTOR } from "./geoms.js";
@@ -29,7 +29,7 @@ function made(corners, index) {
   return shape;
 }
 
-/** Unit shapes of a type of geoms, each with the function that scales it by the size of a geom. @type {Record<number, () => Shape[]>} */
+/** For each type of geoms: unit shapes with functions that scale them by the size of a geom. @type {Record<number, () => Shape[]>} */
 const SHAPES = {
   [SPHERE]: () => [[new THREE.SphereGeometry(1, 20, 14), (s) => [s, 0]]],
   [ELLIPSOID]: () => [[new THREE.SphereGeometry(1, 20, 14), (s) => [s, 0]]],
@@ -53,7 +53,7 @@ const SHAPES = {
   [TRIANGLE]: () => [[made([0, 0, 0, 1, 0, 0, 0, 1, 0]), ([a, b]) => [[a, b, 1], 0]]],
 };
 
-/** Corners of geoms that are drawn as lines, as pairs of ends. @type {Record<number, number[]>} */
+/** End points of the lines that draw a type of geoms. @type {Record<number, number[]>} */
 const LINES = {
   [LINE]: [0, 0, 0, 0, 0, 1],
   [LINEBOX]: [0, 1, 2].flatMap((axis) => [[-1, -1], [-1, 1], [1, -1], [1, 1]].flatMap(([a, b]) =>
@@ -61,12 +61,12 @@ const LINES = {
       k === axis ? end : k === (axis + 1) % 3 ? a : b)))),
 };
 
-/** Shears the y axis toward the x axis. @param {THREE.Matrix4} matrix @param {number} share of x */
+/** Shears the y axis toward the x axis. @param {THREE.Matrix4} matrix @param {number} share shear factor */
 function lean({ elements }, share) {
   for (let c = 0; c < 3; c++) elements[4 + c] += share * elements[c];
 }
 
-// Temporary objects for the computation of each geom.
+// The computation of each geom reuses these temporary objects.
 const turn = new THREE.Quaternion(), at = new THREE.Vector3(), own = new THREE.Vector3();
 const matrix = new THREE.Matrix4(), scaled = new THREE.Vector3(), colour = new THREE.Color();
 /** @type {number[]} */
@@ -155,7 +155,7 @@ class Solids {
   }
 }
 
-/** Lines that draw geoms of one type. */
+/** A mesh of lines that draws all geoms of a type. */
 class Lines {
   /** @param {number} type @param {THREE.Group} group */
   constructor(type, group) {
@@ -200,13 +200,13 @@ class Lines {
   }
 }
 
-/** All decor, with one mesh per shape for opaque geoms, and one for transparent geoms. */
+/** Draws all overlays, with one mesh per shape for opaque geoms, and one for transparent geoms. */
 export class Items {
   constructor() {
     this.group = new THREE.Group();
-    /** Positions of smart arrows, for billboards. @type {Map<string, THREE.Vector3>} */
+    /** Positions of smart arrows, which billboards need. @type {Map<string, THREE.Vector3>} */
     this.places = new Map();
-    /** Drawn objects by geom type; negative for transparent geoms. @type {Map<number, {shown: number[], solids: Solids[], lines: Lines[]}>} */
+    /** Drawn objects by geom type. Keys of transparent geoms are negative. @type {Map<number, {shown: number[], solids: Solids[], lines: Lines[]}>} */
     this.types = new Map();
     /** @type {Geoms | null} */
     this.geoms = null;
@@ -225,7 +225,7 @@ export class Items {
     return found;
   }
 
-  /** Updates the decor. @param {Geoms} geoms */
+  /** Updates all overlays. @param {Geoms} geoms */
   place(geoms) {
     this.geoms = geoms;
     for (const each of this.types.values()) each.shown.length = 0;
@@ -243,7 +243,7 @@ export class Items {
   /** Returns the nearest item on a ray. @param {THREE.Raycaster} ray */
   pick(ray) {
     const all = [...this.types.values()].flatMap(({ solids }) => solids).filter(({ mesh }) => mesh.count);
-    for (const { mesh } of all) mesh.boundingSphere = null; // it is out of date
+    for (const { mesh } of all) mesh.boundingSphere = null; // The bounding sphere is out of date.
     const [hit] = ray.intersectObjects(all.map(({ mesh }) => mesh));
     if (!hit || hit.instanceId === undefined || !this.geoms) return null;
     const k = all.find(({ mesh }) => mesh === hit.object)?.shown[hit.instanceId] ?? 0;

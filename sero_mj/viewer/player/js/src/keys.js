@@ -1,10 +1,10 @@
-/** Names of keys in messages to the server, and the keys that are left to the browser. */
+/** The names of keys in messages to the server, and the keys that are left to the browser. */
 
 /** @type {Record<string, string>} */
 const NAMED = { ArrowLeft: "left", ArrowRight: "right", ArrowUp: "up", ArrowDown: "down", Escape: "escape",
   Backspace: "backspace", Delete: "delete", Home: "home", End: "end", F1: "f1", F2: "f2", F3: "f3" };
 const WITH_CONTROL = ["z", "y", "c"];
-// Keys that elements handle.
+// Elements of a page handle these keys.
 const OF_BUTTONS = [" ", "Enter"];
 const OF_SLIDERS = ["ArrowLeft", "ArrowRight", "ArrowUp", "ArrowDown", "Home", "End", "PageUp", "PageDown"];
 

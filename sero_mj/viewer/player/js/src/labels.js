@@ -1,11 +1,11 @@
-/** Text at positions in the world: names of frames, and labels of decor. */
+/** Text at positions in the world: names of frames, and labels of overlays. */
 
 import * as THREE from "three";
 import { made, write } from "./page.js";
 
 /** @typedef {import("./data.js").Run} Run */
-/** @typedef {[text: string, x: number, y: number, z: number, kind?: number, item?: number]} Label m; a
- *   click on a label with a kind reports this kind and item, see `Kind` in Python */
+/** @typedef {[text: string, x: number, y: number, z: number, kind?: number, item?: number]} Label
+ *   text and position in m. A click on a label with a kind reports its kind and item, see `Kind` in Python. */
 
 /** Returns the labels of a run at a frame. @param {Run} run @param {number} frame @returns {Label[]} */
 export function labelsAt({ labels, frames }, frame) {
@@ -16,14 +16,14 @@ export function labelsAt({ labels, frames }, frame) {
   });
 }
 
-// Of a label: about its height, and its width, pixels; and how many lines it may be below its place.
-const LINE = 18, CHARACTER = 7.4, MARGIN = 14, LOWER = 3;
+const LINE = 18, CHARACTER = 7.4, MARGIN = 14; // height of a line, and widths of a character and the margins, pixels
+const LOWER = 3; // maximum displacement of a label from its position, lines
 
 /**
- * Returns the y at which a label covers no earlier label: at its position or some lines below.
+ * Returns the y coordinate at which a label covers no earlier label: its position or a few lines below.
  * Returns null if there is no space, because a name farther away would seem to name another item.
- * @param {number} x of its middle @param {number} y @param {string} text
- * @param {[x: number, y: number, width: number][]} taken by earlier labels; the new label is added
+ * @param {number} x center of the label @param {number} y @param {string} text
+ * @param {[x: number, y: number, width: number][]} taken earlier labels, to which the new label is added
  */
 export function clearOf(x, y, text, taken) {
   const width = CHARACTER * Math.max(...text.split("\n").map((line) => line.length)) + MARGIN;
@@ -36,7 +36,7 @@ export function clearOf(x, y, text, taken) {
   return null;
 }
 
-/** All labels of the image. */
+/** Creates and lays out all labels of the image. */
 export class Labels {
   /** @param {HTMLElement} room */
   constructor(room) {

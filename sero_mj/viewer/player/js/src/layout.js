@@ -1,16 +1,16 @@
-/** Positions of billboards in a column: close to their items, without overlap. */
+/** Computes positions of billboards in a column, close to their items and without overlap. */
 
 /**
  * Returns the centers of boxes that are placed one below the other.
- * @param {number[]} wanted middles in ascending order @param {number[]} heights of the boxes
- * @param {number} gap between two @param {number} low @param {number} high bounds of the column
+ * @param {number[]} wanted preferred centers in ascending order @param {number[]} heights heights of the boxes
+ * @param {number} gap distance between two boxes @param {number} low @param {number} high bounds of the column
  * @returns {number[]}
  */
 export function stacked(wanted, heights, gap, low, high) {
   /** Distance of each center below the first one if all boxes touch. */
   const below = heights.map((_, k) =>
     heights.slice(0, k).reduce((sum, each) => sum + each + gap, 0) + (heights[k] - heights[0]) / 2);
-  /** Neighbors that touch move as one block, at the mean of the wanted positions. */
+  /** Boxes that touch form one block at the mean of their preferred positions. */
   /** @type {{sum: number, count: number}[]} */
   const pools = [];
   wanted.forEach((middle, k) => {
@@ -24,7 +24,7 @@ export function stacked(wanted, heights, gap, low, high) {
     pools.push(pool);
   });
   const first = low + heights[0] / 2, end = heights.length - 1;
-  const most = Math.max(high - heights[end] / 2 - below[end], first);
+  const last = Math.max(high - heights[end] / 2 - below[end], first);
   const bases = pools.flatMap(({ sum, count }) => Array(count).fill(sum / count));
-  return bases.map((base, k) => Math.min(Math.max(base, first), most) + below[k]);
+  return bases.map((base, k) => Math.min(Math.max(base, first), last) + below[k]);
 }

@@ -5,26 +5,26 @@ import * as THREE from "three";
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Lamp} Lamp */
 
-const FULL = Math.PI; // intensity of a lamp that shows colors unchanged
+const FULL = Math.PI; // intensity at which a lamp does not change colors
 const DIRECTIONAL = 1, POINT = 2; // mjtLightType
-const MOST = 8; // maximum number of lights in MuJoCo's classic renderer
-const MOST_EXPONENT = 128; // maximum exponent of the decrease of a spot's intensity off its axis
+const MAX_LIGHTS = 8; // maximum number of lights in MuJoCo's classic renderer
+const MAX_EXPONENT = 128; // maximum exponent with which the intensity of a spot light decreases off its axis
 
-// Spots as in OpenGL: the exponent determines the softness of the edge.
+// The edges of spot lights are as soft as in OpenGL, where the exponent determines the softness.
 const chunks = THREE.ShaderChunk;
 chunks.lights_pars_begin = chunks.lights_pars_begin.replace(
   "return smoothstep( coneCosine, penumbraCosine, angleCosine );",
-  `float exponent = ${MOST_EXPONENT}. * (1. - acos(penumbraCosine) / acos(coneCosine));
+  `float exponent = ${MAX_EXPONENT}. * (1. - acos(penumbraCosine) / acos(coneCosine));
   return step(coneCosine, angleCosine) * pow(max(angleCosine, 0.), exponent);`);
 
 /** @param {number[]} rgb */
 const colour = ([r, g, b]) => new THREE.Color(r, g, b);
 
-/** Lights of a model, at the camera and at bodies. */
+/** The lights of a model, which are attached to the camera and to bodies. */
 export class Lamps {
   /**
    * @param {import("./data.js").Lights} lights @param {THREE.Scene} scene
-   * @param {THREE.Camera} camera @param {number} reach half the side of the area with shadows, m
+   * @param {THREE.Camera} camera @param {number} reach half the side length of the area with shadows, m
    */
   constructor(lights, scene, camera, reach) {
     const ambient = lights.others.reduce(
@@ -34,7 +34,7 @@ export class Lamps {
     head.target.position.set(0, 0, -1);
     camera.add(head, head.target);
     scene.add(new THREE.AmbientLight(ambient, FULL));
-    this.lamps = lights.others.slice(0, MOST).map((lamp) => ({ lamp, light: this.#made(lamp) }));
+    this.lamps = lights.others.slice(0, MAX_LIGHTS).map((lamp) => ({ lamp, light: this.#made(lamp) }));
     for (const { light } of this.lamps) {
       scene.add(light);
       if (!(light instanceof THREE.PointLight)) scene.add(light.target);
@@ -57,7 +57,7 @@ export class Lamps {
     const rgb = colour(diffuse), angle = Math.min(cutoff, 89) * Math.PI / 180;
     if (type === DIRECTIONAL) return new THREE.DirectionalLight(rgb, FULL);
     if (type === POINT || cutoff >= 180) return new THREE.PointLight(rgb, FULL, 0, 0);
-    return new THREE.SpotLight(rgb, FULL, 0, angle, Math.min(exponent / MOST_EXPONENT, 1), 0);
+    return new THREE.SpotLight(rgb, FULL, 0, angle, Math.min(exponent / MAX_EXPONENT, 1), 0);
   }
 
   /** Updates the lights. @param {THREE.Matrix4[]} bodies */

@@ -1,4 +1,4 @@
-/** Light or dark: as requested for the page, as chosen by the user, or as set in the browser. */
+/** The look of a page, light or dark, which the scene, the user or the browser determines. */
 
 /** @typedef {import("./view.js").Look} Look */
 
@@ -7,10 +7,10 @@ const isDark = matchMedia("(prefers-color-scheme: dark)");
 /** @param {unknown} text @returns {Look | null} */
 export const lookIn = (text) => text === "light" || text === "dark" ? text : null;
 
-const asked = lookIn(document.documentElement.dataset.look); // read before it is set to the displayed look
+const requested = lookIn(document.documentElement.dataset.look); // The player later stores the displayed look in this attribute.
 
-/** Returns the initial look of a page. @param {Look | null} [chosen] earlier by the user */
-export const lookToOpen = (chosen = null) => asked ?? chosen ?? (isDark.matches ? "dark" : "light");
+/** Returns the initial look of a page. @param {Look | null} [chosen] look that the user has chosen before */
+export const lookToOpen = (chosen = null) => requested ?? chosen ?? (isDark.matches ? "dark" : "light");
 
 /** Calls a function when the browser's look changes, unless the page requests one. @param {() => void} act */
-export const onOtherLook = (act) => isDark.addEventListener("change", () => { if (!asked) act(); });
+export const onOtherLook = (act) => isDark.addEventListener("change", () => { if (!requested) act(); });

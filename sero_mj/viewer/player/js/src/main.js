@@ -6,7 +6,7 @@ import { byId } from "./page.js";
 import { Player } from "./player.js";
 import { Recording } from "./recording.js";
 
-/** The run in the page, base64 of a raw deflate stream. */
+/** Starts the player with the run in the page, which is a raw deflate stream in base64. */
 async function fromFile() {
   const data = byId("run"), text = data.textContent ?? "";
   data.textContent = "";
@@ -17,7 +17,7 @@ async function fromFile() {
 async function main() {
   const { live, cell } = document.documentElement.dataset;
   const player = cell ? await fromNotebook(cell) : live === undefined ? await fromFile() : new Player();
-  Object.assign(globalThis, { player }); // for consoles and tests
+  Object.assign(globalThis, { player }); // Consoles and tests need it.
   document.documentElement.dataset.ready = "1";
 }
 
@@ -25,5 +25,5 @@ main().catch((error) => {
   const problem = byId("problem");
   problem.hidden = false;
   problem.append(` (${error.message})`);
-  document.documentElement.dataset.ready = "0"; // hides controls that do not work yet
+  document.documentElement.dataset.ready = "0"; // This hides controls that do not work.
 });

@@ -1,4 +1,4 @@
-/** A reflecting plane: shows the scene as seen by a camera behind the plane. MuJoCo has at most one. */
+/** A reflecting plane, which shows the scene as seen by a camera behind the plane. Scenes have at most one. */
 
 import * as THREE from "three";
 
@@ -8,7 +8,7 @@ import * as THREE from "three";
 const PLANE = 0; // mjtGeom
 const ABOVE = 1e-3; // height above the plane from which objects are reflected, m
 
-/** Returns the reflecting plane and its reflectance, or nothing. @param {Run} run */
+/** Returns the reflecting plane and its reflectance, or undefined. @param {Run} run */
 export function mirrorOf({ geoms, materials }) {
   const geom = geoms.find(({ type, material, rgba }) => type === PLANE && rgba[3] === 255
     && material !== undefined && materials[material].finish[3] > 0);

@@ -1,6 +1,6 @@
 /**
- * The page in a cell of a notebook: live while the kernel runs the viewer, otherwise the run that
- * the notebook has stored.
+ * The page in a cell of a notebook. It is live while the kernel runs the viewer. Otherwise, it plays
+ * the run that the notebook has stored.
  */
 
 import { decode, inflate } from "./data.js";
@@ -8,13 +8,13 @@ import { Player } from "./player.js";
 import { Recording } from "./recording.js";
 import { CellTransport } from "./transport.js";
 
-const PATIENCE = 1500, PATIENCE_AFTER_ANSWER = 10_000; // ms for the kernel to answer
+const TIMEOUT = 1500, TIMEOUT_AFTER_ANSWER = 10_000; // ms for the kernel to answer
 
 /** Returns the run that another output of the cell stores, or an empty string. @param {string} cell */
-function keptRun(cell) {
+function storedRun(cell) {
   try {
     return parent.document.querySelector(`[data-sero-mj-run="${cell}"]`)?.textContent?.trim() ?? "";
-  } catch { // the page of the notebook has another origin
+  } catch { // The page of the notebook has another origin.
     return "";
   }
 }
@@ -22,7 +22,7 @@ function keptRun(cell) {
 /** The element that contains this page. */
 const frame = () => /** @type {HTMLIFrameElement | null} */ (globalThis.frameElement);
 
-/** Starts again. @param {boolean} hasAnswered whether the kernel has just answered */
+/** Loads the page again. @param {boolean} hasAnswered whether the kernel has just answered */
 function again(hasAnswered) {
   const element = frame();
   if (!element?.isConnected) return;
@@ -33,10 +33,10 @@ function again(hasAnswered) {
 /** @param {string} cell @returns {Promise<Player>} */
 export async function fromNotebook(cell) {
   const transport = new CellTransport(cell);
-  if (keptRun(cell) && !await transport.finds(frame()?.dataset.answered ? PATIENCE_AFTER_ANSWER : PATIENCE)) {
+  if (storedRun(cell) && !await transport.finds(frame()?.dataset.answered ? TIMEOUT_AFTER_ANSWER : TIMEOUT)) {
     transport.onopen = () => again(true);
-    return new Player(new Recording(decode(await inflate(keptRun(cell)))));
+    return new Player(new Recording(decode(await inflate(storedRun(cell)))));
   }
-  transport.onlost = () => { if (keptRun(cell)) again(false); };
+  transport.onlost = () => { if (storedRun(cell)) again(false); };
   return new Player(transport);
 }

@@ -1,4 +1,4 @@
-/** Ambient occlusion: darkens the floor below robots, which hide part of the sky from it. */
+/** Ambient occlusion: darkens the floor below robots, where they hide a part of the sky. */
 
 import * as THREE from "three";
 import { matrixOf } from "./robots.js";
@@ -7,13 +7,14 @@ import { MESH, extentsOf, isPlane } from "./surfaces.js";
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {import("./data.js").Geom} Geom */
 
-const MOST = 16; // maximum number of capsules, those that hide most
-const LEAST = 0.004; // hidden fraction of the sky that is invisible
-const AROUND = 0.4; // m; size of the darkened area around the capsules
-const SIDE = 64; // texels. A loop over the capsules for every pixel takes 30 to 50 ms per image in software
+const MAX_CAPSULES = 16; // maximum number of capsules; those that hide the largest fractions of the sky are used
+const MIN_SHARE = 0.004; // hidden fraction of the sky below which a capsule is ignored
+const MARGIN = 0.4; // size of the darkened area around the capsules, m
+// The map has 64 x 64 texels. Computing every pixel of the image would take 30 to 50 ms in software.
+const SIDE = 64;
 
 /**
- * Returns the capsule around the box of a geom, in the frame of the body: ends and radius, m.
+ * Returns a capsule around the bounding box of a geom, with ends and radius in m in the frame of the body.
  * @param {Geom} geom @param {Run} run
  */
 function capsuleOf(geom, run) {
@@ -37,7 +38,7 @@ function capsuleOf(geom, run) {
  * @param {number[]} capsule ends, each x, y and height over the floor, and radius, m
  * @param {number} x @param {number} y m
  */
-export function seenPast([ax, ay, az, bx, by, bz, radius], x, y) {
+export function visibleSky([ax, ay, az, bx, by, bz, radius], x, y) {
   const dx = bx - ax, dy = by - ay, dz = bz - az, square = radius * radius;
   const along = ((x - ax) * dx + (y - ay) * dy - az * dz) / (dx * dx + dy * dy + dz * dz + 1e-12);
   const t = along < 0 ? 0 : along > 1 ? 1 : along, height = az + t * dz;
@@ -45,9 +46,9 @@ export function seenPast([ax, ay, az, bx, by, bz, radius], x, y) {
   return height > 0 ? 1 - Math.min(height / Math.sqrt(far) * square / far, 0.95) : 1;
 }
 
-/** A map of the floor around robots, with the fraction of the sky that is visible from each point. */
+/** A map of the floor around robots, which has the visible fraction of the sky at each point. */
 export class Occlusion {
-  /** @param {Run} run @param {number} floor its height, m */
+  /** @param {Run} run @param {number} floor height of the floor, m */
   constructor(run, floor) {
     this.floor = floor;
     this.capsules = run.geoms
@@ -74,7 +75,7 @@ export class Occlusion {
     this.texture.needsUpdate = true;
     if (!near.length) return;
     const reach = (/** @type {number} */ axis, /** @type {number} */ sign) => Math.max(...near.map((each) =>
-      Math.max(sign * each[axis], sign * each[axis + 3]) + each[6])) + AROUND;
+      Math.max(sign * each[axis], sign * each[axis + 3]) + each[6])) + MARGIN;
     const low = [-reach(0, -1), -reach(1, -1)], high = [reach(0, 1), reach(1, 1)];
     // Side and corner change in steps of texels, so that edges do not flicker while robots move.
     const side = 2 ** Math.ceil(Math.log2(Math.max(high[0] - low[0], high[1] - low[1]) + 1e-6));
@@ -84,21 +85,21 @@ export class Occlusion {
     for (let i = 1; i < SIDE - 1; i++) {
       for (let j = 1; j < SIDE - 1; j++) {
         let share = 255;
-        for (const capsule of near) share *= seenPast(capsule, x + (j + 0.5) * texel, y + (i + 0.5) * texel);
+        for (const capsule of near) share *= visibleSky(capsule, x + (j + 0.5) * texel, y + (i + 0.5) * texel);
         this.texels[i * SIDE + j] = share;
       }
     }
   }
 
-  /** Returns the capsules that hide most. @param {THREE.Matrix4[]} matrices */
+  /** Returns the capsules that hide the largest fractions of the sky. @param {THREE.Matrix4[]} matrices */
   #near(matrices) {
     return this.capsules.map(({ body, radius, begin, end }) => {
       const [a, b] = [begin, end].map((each) => each.clone().applyMatrix4(matrices[body]));
       const height = Math.max(Math.min(a.z, b.z) - this.floor, radius);
       const numbers = [a.x, a.y, a.z - this.floor, b.x, b.y, b.z - this.floor, radius];
       return { numbers, share: (radius / height) ** 2 };
-    }).filter(({ share }) => share > LEAST).sort((one, other) => other.share - one.share)
-      .slice(0, MOST).map(({ numbers }) => numbers);
+    }).filter(({ share }) => share > MIN_SHARE).sort((one, other) => other.share - one.share)
+      .slice(0, MAX_CAPSULES).map(({ numbers }) => numbers);
   }
 
   /**

@@ -1,8 +1,8 @@
 /**
- * Trees of widgets as HTML elements: the server sends the nodes of a panel, and receives user input.
+ * Shows trees of widgets as HTML elements. The server sends the nodes of a panel, and receives user input.
  *
- * A tree is sent again whenever it has changed. Elements of widgets that still exist are reused, so
- * that focus, caret, scroll position and open lists stay.
+ * The server sends a tree again whenever it has changed. Elements of widgets that still exist are
+ * reused, so that focus, text cursor, scroll position and open lists do not change.
  */
 
 import { WIDGETS } from "./widgets.js";
@@ -16,7 +16,7 @@ import { made } from "./page.js";
  * @typedef {{send: (message: object) => void, list: (room: HTMLElement) => List}} Context
  */
 
-/** Returns the key of a node: the id, or the index among nodes of the same kind without an id. @param {Node[]} nodes */
+/** Returns the keys of nodes, which consist of kind and id, or of kind and number without an id. @param {Node[]} nodes */
 export function keysOf(nodes) {
   /** @type {Record<string, number>} */
   const counts = {};
@@ -39,7 +39,7 @@ export function linesOf(nodes) {
 }
 
 /**
- * Makes elements the children of another element in this order, without moving ordered ones.
+ * Makes elements the children of another element, in this order. Only elements in a wrong order are moved.
  * @param {HTMLElement} room @param {HTMLElement[]} wanted
  */
 export function arrange(room, wanted) {
@@ -52,7 +52,7 @@ export function arrange(room, wanted) {
   }
 }
 
-/** The nodes of one level. */
+/** Shows the nodes of one level of a tree. */
 class List {
   /** @param {HTMLElement} room @param {Context} context */
   constructor(room, context) {
@@ -99,7 +99,7 @@ class List {
   }
 }
 
-/** Sets widths and left edges of the widgets of a line. @param {Node[]} nodes @param {Widget[]} widgets */
+/** Sets the widths and left edges of the widgets in a line. @param {Node[]} nodes @param {Widget[]} widgets */
 function place(nodes, widgets) {
   let begin = 0; // left edge of the previous widget, em
   nodes.forEach(({ width, same, left }, k) => {
@@ -114,7 +114,7 @@ function place(nodes, widgets) {
   });
 }
 
-/** A tree of widgets. */
+/** Shows a tree of widgets in an element. */
 export class Tree {
   /**
    * @param {HTMLElement} room @param {string} name of the tree in messages

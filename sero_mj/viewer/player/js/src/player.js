@@ -1,4 +1,4 @@
-/** A page: shows the state that the transport receives, and sends the user's actions. */
+/** The page, which shows the state that the transport receives, and sends the user's actions. */
 
 import { isOnHandle } from "./handles.js";
 import { Input } from "./input.js";
@@ -9,42 +9,42 @@ import { readSections } from "./sections.js";
 import { State } from "./state.js";
 import { Surround } from "./surround.js";
 import { SocketTransport, accessOf } from "./transport.js";
-import { View, tell } from "./view.js";
+import { View, showProblem } from "./view.js";
 
 /** @typedef {import("./transport.js").Transport} Transport */
-/** @typedef {import("./eye.js").View & {by: unknown, serial: number, fixed: number}} Seen */
+/** @typedef {import("./eye.js").View & {by: unknown, serial: number, fixed: number}} SentCamera */
 
 const LOOK = "sero-mj look"; // key in localStorage
-// JSON sections that affect the image.
-const IN_PICTURE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
+// These JSON sections affect the image.
+const IN_IMAGE = ["labels", "cards", "camera", "lookAt", "selected", "shading"];
 
-/** The page. */
+/** The player on a page. */
 export class Player {
-  /** @param {Transport} transport of a live run, or a `Recording` */
+  /** @param {Transport} transport connection of a live page, or a `Recording` */
   constructor(transport = new SocketTransport("/live", accessOf())) {
     this.transport = transport;
-    /** Received sections that are not shown yet, with the latest value of each. @type {import("./sections.js").Sections} */
+    /** Latest values of received sections that are not shown yet. @type {import("./sections.js").Sections} */
     this.waiting = { json: new Map(), bytes: new Map() };
-    this.unanswered = 0; // messages that are not shown yet; the server limits their number
-    this.serial = -1; // number of the last camera move by the server
-    /** The latest values of sections that are read later. @type {Record<string, any>} */
+    this.unanswered = 0; // number of messages that are not shown yet, which the server limits
+    this.serial = -1; // number of the last camera motion by the server
+    /** Latest values of sections that are read later. @type {Record<string, any>} */
     this.now = {};
     this.recording = transport instanceof Recording ? transport : null;
     /** @type {State | Recording | null} */
     this.state = null;
-    this.isFollowing = true; // whether the camera is that of the browser in control
-    this.isTurned = false; // whether the user has rotated the camera, which nobody knows yet
+    this.isFollowing = true; // whether this page shows the camera of the browser in control
+    this.isTurned = false; // whether the user has rotated the camera since it was last sent
     this.surround = new Surround((message) => this.#act(message));
     this.view = new View({
       frame: (passed) => this.#frame(passed),
-      card: (key, event) => this.#card(key, event),
+      clickText: (key, event) => this.#clickText(key, event),
       turn: (isUser) => { if (isUser) this.#turned(); },
       look: () => {},
-      resize: () => this.#tellSize(),
+      resize: () => this.#sendSize(),
     });
-    this.view.labels.onClick = (key, event) => this.#card(key, event);
+    this.view.labels.onClick = (key, event) => this.#clickText(key, event);
     document.body.classList.add(this.recording ? "file" : "live");
-    this.view.setLook(lookToOpen(this.#keptLook()));
+    this.view.setLook(lookToOpen(this.#storedLook()));
     this.input = new Input(this.view.renderer.domElement, {
       send: (message) => this.#act(message),
       canAct: () => this.isInControl,
@@ -69,8 +69,8 @@ export class Player {
 
   get calls() { return this.view.calls; }
 
-  /** The look that the user has chosen on a page of this server; null for none. */
-  #keptLook() { return this.recording ? null : keptLook(); }
+  /** Returns the look that the user has chosen on a page of this server, or null. */
+  #storedLook() { return this.recording ? null : storedLook(); }
 
   /** Whether this browser is in control. */
   get isInControl() {
@@ -80,18 +80,18 @@ export class Player {
   #connect() {
     const { transport } = this;
     transport.onopen = () => {
-      tell("server", "");
+      showProblem("server", "");
       this.waiting = { json: new Map(), bytes: new Map() };
       this.unanswered = 0;
       this.serial = -1;
       this.now = {};
       this.isNew = true;
       if (this.recording) this.#show(this.recording);
-      this.#tellSize();
+      this.#sendSize();
     };
     transport.onframe = () => this.view.wake();
-    transport.onclose = () => tell("server", "The viewer is not running. This page reconnects when it runs again.");
-    transport.onlocked = () => tell("server", accessOf().locked);
+    transport.onclose = () => showProblem("server", "The viewer is not running. This page reconnects when it runs again.");
+    transport.onlocked = () => showProblem("server", accessOf().locked);
     transport.onmessage = (message) => {
       if (typeof message === "string") this.#event(JSON.parse(message));
       else this.#receive(message);
@@ -102,17 +102,17 @@ export class Player {
 
   #listen() {
     const press = (/** @type {string} */ id, /** @type {() => void} */ act) => byId(id).addEventListener("click", act);
-    press("look", () => { if (!this.recording) keep(this.view.look); });
+    press("look", () => { if (!this.recording) storeLook(this.view.look); });
     press("open", () => this.#act({ t: "key", key: "t", repeat: false }));
     press("help", () => this.#act({ t: "key", key: "h", repeat: false }));
     press("take", () => this.#takeControl());
     press("follow", () => {
       this.isFollowing = true;
-      this.#see(this.now.camera);
+      this.#useCamera(this.now.camera);
       this.#showControl();
     });
     byId("camera").addEventListener("change", (event) => this.#chooseCamera(Number(valueIn(event))));
-    onOtherLook(() => this.view.setLook(lookToOpen(this.#keptLook())));
+    onOtherLook(() => this.view.setLook(lookToOpen(this.#storedLook())));
   }
 
   /** @param {ArrayBuffer | import("./sections.js").Sections} message */
@@ -121,12 +121,12 @@ export class Player {
     this.unanswered++;
     try {
       const { json, bytes } = message instanceof ArrayBuffer ? readSections(message) : message;
-      // Sections for another model no longer fit.
+      // Waiting sections belong to the previous model.
       if (bytes.has("run")) waiting.bytes.clear();
       for (const [name, value] of json) waiting.json.set(name, value);
       for (const [name, value] of bytes) waiting.bytes.set(name, value);
     } catch (error) {
-      misunderstood(error);
+      reportInvalid(error);
     }
     this.view.wake(false);
   }
@@ -148,7 +148,7 @@ export class Player {
       for (const [name, value] of json) this.#takeJson(name, value);
       if (this.state instanceof State) for (const [name, value] of bytes) if (this.state.take(name, value)) this.view.isDirty = true;
     } catch (error) {
-      misunderstood(error);
+      reportInvalid(error);
     }
   }
 
@@ -163,7 +163,7 @@ export class Player {
   /** @param {string} name @param {any} value */
   #takeJson(name, value) {
     if (this.state instanceof State && this.state.takeJson(name, value)) this.view.isDirty = true;
-    if (name === "hover" && !this.isInControl) return; // it belongs to the pointer of another browser
+    if (name === "hover" && !this.isInControl) return; // The name is at the pointer of another browser.
     if (name === "request") {
       this.now.request = value;
       this.#showRequest();
@@ -172,20 +172,20 @@ export class Player {
     if (this.surround.take(name, value)) return;
     const before = this.now[name];
     this.now[name] = value;
-    if (IN_PICTURE.includes(name)) this.view.isDirty = true;
+    if (IN_IMAGE.includes(name)) this.view.isDirty = true;
     switch (name) {
       case "camera": this.#follow(value); break;
       case "lookAt": this.#shift(before, value); break;
       case "shading": this.view.current?.robots.shade(value ?? {}); break;
       case "you": case "control":
-        this.#keepControl();
+        this.#restoreControl();
         this.#showControl();
         break;
-      case "dragging": case "onHandle": this.#showHand(); break;
+      case "dragging": case "onHandle": this.#showCursor(); break;
     }
   }
 
-  /** Draws immediately. */
+  /** Draws a frame immediately. */
   draw() {
     this.view.isDirty = true;
     this.#frame(0);
@@ -195,7 +195,7 @@ export class Player {
   #frame(passed) {
     this.recording?.advance(passed);
     this.#take();
-    this.#tellCamera();
+    this.#sendCamera();
     this.input.flush();
     for (; this.unanswered; this.unanswered--) this.transport.send('{"t":"got"}');
     const { state, view } = this;
@@ -207,23 +207,23 @@ export class Player {
   /** Sends a message if this browser is in control. @param {object} message */
   #act(message) {
     if (!this.isInControl) return;
-    this.#tellCamera();
+    this.#sendCamera();
     this.transport.send(JSON.stringify(message));
   }
 
-  #tellSize() {
+  #sendSize() {
     const { clientWidth, clientHeight } = byId("stage");
     this.transport.send(JSON.stringify({ t: "size", w: clientWidth, h: clientHeight, page: innerWidth }));
   }
 
-  /** Sends the camera to the server, if the user has rotated it. */
-  #tellCamera() {
+  /** Sends the camera to the server if the user has rotated it. */
+  #sendCamera() {
     if (!this.isTurned || !this.isInControl || !this.view.current) return;
     this.isTurned = false;
     this.transport.send(JSON.stringify({ t: "camera", fixed: this.stage.fixed, ...this.stage.view }));
   }
 
-  /** The user has turned the camera. */
+  /** Handles a rotation of the camera by the user. */
   #turned() {
     this.isTurned = true;
     if (this.isInControl || !this.isFollowing) return;
@@ -231,16 +231,16 @@ export class Player {
     this.#showControl();
   }
 
-  /** Uses the camera of another browser or of the server. @param {Seen} camera */
+  /** Uses the camera of another browser or of the server. @param {SentCamera} camera */
   #follow(camera) {
     if (!camera) return;
     const isOwn = camera.by === this.now.you?.id && camera.serial === this.serial;
     this.serial = camera.serial;
-    if (!isOwn && (this.isFollowing || this.isInControl)) this.#see(camera);
+    if (!isOwn && (this.isFollowing || this.isInControl)) this.#useCamera(camera);
   }
 
-  /** @param {Seen | undefined} camera */
-  #see(camera) {
+  /** @param {SentCamera | undefined} camera */
+  #useCamera(camera) {
     if (!camera || !this.view.current) return;
     if (camera.fixed >= 0 || this.recording) this.stage.chooseCamera(camera.fixed);
     else this.stage.look(camera);
@@ -261,15 +261,15 @@ export class Player {
     return this.view.wake();
   }
 
-  /** Performs keys that work without control. @param {string} name */
+  /** Performs the action of a key that works without control. @param {string} name */
   #localKey(name) {
     if (!/^\d$/.test(name) || !this.view.current) return false;
     this.#chooseCamera(Number(name) - 1);
     return true;
   }
 
-  /** @param {string} key kind and item @param {MouseEvent} event */
-  #card(key, event) {
+  /** Sends a click on a text over the image. @param {string} key kind and item @param {MouseEvent} event */
+  #clickText(key, event) {
     const [kind, item] = key.split(" ").map(Number), at = this.input.pixelOf(event);
     this.#act({ t: "card", kind, item, ...at, shift: event.shiftKey || event.ctrlKey });
   }
@@ -290,13 +290,13 @@ export class Player {
     }
     this.wasInControl = true;
     this.isFollowing = true;
-    if (isShared && this.isTurned) this.#tellCamera(); // other browsers follow this one
+    if (isShared && this.isTurned) this.#sendCamera(); // Other browsers follow this one.
     const view = new URLSearchParams(location.hash.slice(1)).get("view");
-    if (view && !this.hasAsked) this.transport.send(JSON.stringify({ t: "view", text: view }));
-    this.hasAsked = true;
+    if (view && !this.hasSentView) this.transport.send(JSON.stringify({ t: "view", text: view }));
+    this.hasSentView = true;
   }
 
-  /** The dialog about programs of a file, for the browser that can answer it. */
+  /** Shows the dialog about programs of a file in the browser in control. */
   #showRequest() {
     const { request } = this.now;
     if (request) byId("asks").textContent = request.title;
@@ -304,7 +304,7 @@ export class Player {
   }
 
   /** Takes control again after a reload, or on the next page of the server. */
-  #keepControl() {
+  #restoreControl() {
     const { control, you } = this.now, { transport } = this;
     if (!you || !control) return;
     if (this.isNew && !this.isInControl && transport.hadControl()) this.#takeControl();
@@ -316,10 +316,10 @@ export class Player {
 
   isNew = true; // whether it is still unknown which browser is in control
   wasInControl = false;
-  hasAsked = false; // whether the view of a link was requested
+  hasSentView = false; // whether the view in the link was sent
 
   /** Sets the shape of the pointer. */
-  #showHand() {
+  #showCursor() {
     const { dragging, onHandle } = this.now, canvas = this.view.renderer.domElement;
     canvas.style.cursor = dragging ? "grabbing" : onHandle ? "grab" : "";
     if (this.view.current) this.stage.orbit.enabled = !dragging;
@@ -327,23 +327,23 @@ export class Player {
 }
 
 /** @param {unknown} error */
-function misunderstood(error) {
+function reportInvalid(error) {
   console.warn("from the server:", error);
-  tell("message", "This page does not match its server. Reload it.");
+  showProblem("message", "This page does not match its server. Reload it.");
 }
 
 /** @param {import("./view.js").Look} look */
-function keep(look) {
+function storeLook(look) {
   try {
     localStorage.setItem(LOOK, look);
-  } catch { /* the browser stores nothing */ }
+  } catch { /* The browser does not store data. */ }
 }
 
-/** The look that the user has chosen on a page of this server; null for none. */
-function keptLook() {
+/** Returns the look that the user has chosen on a page of this server, or null. */
+function storedLook() {
   try {
     return lookIn(localStorage.getItem(LOOK));
-  } catch { // the browser stores nothing
+  } catch { // The browser does not store data.
     return null;
   }
 }

@@ -1,10 +1,10 @@
-/** The transport of a recorded run, which sends the player the same sections as a server of a live run. */
+/** The transport of a recorded run, which sends the same sections to the player as the server of a live page. */
 
 import { addStraight } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { fixed, textOf, valueOf } from "./data.js";
 import { BILLBOARD, Geoms, VECTOR, geomsAt } from "./geoms.js";
-import { JointCards } from "./joint_cards.js";
+import { JointBillboards } from "./joint_billboards.js";
 import { labelsAt } from "./labels.js";
 import { torquePlot } from "./torque_plot.js";
 
@@ -32,10 +32,10 @@ const KEYS = [
 /** @type {Record<string, string>} */
 const WORDS = { cmd: "commanded", msr: "measured", err: "difference", limit: "limit", share: "of the limit" };
 const NAMES = { arrows: "arrows", numbers: "billboards", doubles: "doubles", legend: "legend", shadows: "shadows" };
-const EVERY = 66; // ms between two updates of panels
-const NARROW = 700; // pixels; in a narrower page, the timeline has two rows
-const WIDE = 1100; // pixels; a wider page starts with its panel
-const CLICK = 4; // pixels between press and release of a click
+const PANEL_INTERVAL = 66; // time between two updates of panels, ms
+const NARROW = 700; // page width below which the timeline has two rows, pixels
+const WIDE = 1100; // page width from which the panel is initially visible, pixels
+const CLICK = 4; // maximum distance between press and release of a click, pixels
 
 /** @typedef {import("./transport.js").Transport} Transport */
 
@@ -45,27 +45,27 @@ export class Recording {
   constructor(run) {
     this.run = run;
     this.clock = new Clock(run.frames, run.fps);
-    this.cards = new JointCards(run);
+    this.billboards = new JointBillboards(run);
     this.geoms = new Geoms();
     this.sites = null;
     this.quantity = 0; // index in `run.arrows.quantities`
     this.isPlotted = run.frames > 1 && run.joints.length > 0;
-    this.isHelping = false;
-    this.width = 0; // of the page, pixels
+    this.showsHelp = false;
+    this.width = 0; // width of the page, pixels
     this.hasPanel = false;
     /** @type {Record<string, boolean>} */
     this.switches = { ...run.switches };
-    /** Sections that the user has folded or unfolded. @type {Record<string, boolean>} */
+    /** Sections that the user has opened or closed. @type {Record<string, boolean>} */
     this.folds = {};
     this.chosen = -1;
     /** @type {Picked | null} */
     this.selected = null;
     this.ticks = ticksOf(run);
-    this.serial = 0; // counts how often a key has moved the camera
+    this.serial = 0; // number of camera motions by keys
     /** @type {{x: number, y: number} | null} */
     this.pressed = null;
-    this.sent = -Infinity; // ms, when panels were sent
-    this.isAsked = true; // whether more than the time has changed in the panels
+    this.sent = -Infinity; // time at which panels were sent, ms
+    this.hasChanged = true; // whether anything except the time has changed in the panels
     /** @type {import("./stage.js").Stage | null} */
     this.stage = null;
     /** @type {Transport["onmessage"]} */
@@ -91,7 +91,7 @@ export class Recording {
 
   /** Marks the image and the panels as changed. */
   #change() {
-    this.isAsked = true;
+    this.hasChanged = true;
     this.onframe();
   }
 
@@ -99,15 +99,15 @@ export class Recording {
 
   /** @param {string | ArrayBuffer} message */
   send(message) {
-    const said = JSON.parse(String(message));
-    switch (said.t) {
-      case "key": this.#press(said.key); break;
-      case "pointer": this.#point(said); return;
-      case "card": if (said.kind === BILLBOARD) this.select({ joint: said.item }); break;
-      case "widget": this.#act(said.id, said.value); break;
-      case "fold": this.folds[said.id] = said.open; break;
+    const received = JSON.parse(String(message));
+    switch (received.t) {
+      case "key": this.#press(received.key); break;
+      case "pointer": this.#point(received); return;
+      case "card": if (received.kind === BILLBOARD) this.select({ joint: received.item }); break;
+      case "widget": this.#act(received.id, received.value); break;
+      case "fold": this.folds[received.id] = received.open; break;
       case "close": this.isPlotted = false; break;
-      case "size": this.#fit(said.page); break;
+      case "size": this.#fit(received.page); break;
       default: return;
     }
     this.#change();
@@ -135,13 +135,13 @@ export class Recording {
       l: () => this.toggle("legend"), q: () => this.nextQuantity(),
       p: () => { this.isPlotted = !this.isPlotted; },
       t: () => { this.hasPanel = !this.hasPanel; },
-      h: () => { this.isHelping = !this.isHelping; },
+      h: () => { this.showsHelp = !this.showsHelp; },
     };
     if (/^\d$/.test(key)) this.#send({ camera: { ...this.run.eye, fixed: Number(key) - 1, by: null, serial: ++this.serial } });
     else acts[key]?.();
   }
 
-  /** @param {{kind: string, x: number, y: number, button: number}} said */
+  /** @param {{kind: string, x: number, y: number, button: number}} received */
   #point({ kind, x, y, button }) {
     const { pressed } = this;
     if (kind === "press") this.pressed = button ? null : { x, y };
@@ -181,7 +181,7 @@ export class Recording {
     this.quantity = (this.quantity + 1) % quantities.length;
     const { key } = quantities[this.quantity];
     arrows.values = values[key];
-    this.cards.quantity = key;
+    this.billboards.quantity = key;
     this.#change();
   }
 
@@ -205,14 +205,14 @@ export class Recording {
     if (count) this.select({ joint: (this.chosen + places + count) % count });
   }
 
-  /** The joint whose torque is closest to its limit, or the first joint. */
+  /** Returns the joint with the largest torque relative to its limit, or the first joint. */
   #mostLoaded() {
     const { joints, frames } = this.run;
-    let [best, most] = [joints.length ? 0 : -1, 0];
+    let [best, highest] = [joints.length ? 0 : -1, 0];
     joints.forEach((joint, j) => {
       for (let frame = 0; frame < frames && joint.double < 0; frame++) {
         const share = valueOf(this.run, j, "torque_share", frame);
-        if (share > most) [best, most] = [j, share];
+        if (share > highest) [best, highest] = [j, share];
       }
     });
     return best;
@@ -220,15 +220,15 @@ export class Recording {
 
   /** Plots a joint. @param {number} joint */
   choose(joint) {
-    this.chosen = this.cards.chosen = joint;
+    this.chosen = this.billboards.chosen = joint;
     if (joint >= 0) this.plot = torquePlot(this.run, joint);
     this.#change();
   }
 
-  /** Shows name and values of the clicked item. @param {Picked | null} picked */
+  /** Shows the name and the values of the clicked item. @param {Picked | null} picked */
   select(picked) {
     this.selected = picked;
-    this.cards.vector = picked?.kind === VECTOR ? picked.item ?? -1 : -1;
+    this.billboards.vector = picked?.kind === VECTOR ? picked.item ?? -1 : -1;
     if (picked?.joint !== undefined && picked.joint >= 0) this.choose(picked.joint);
     this.#change();
   }
@@ -240,18 +240,18 @@ export class Recording {
     const { clock } = this, now = performance.now();
     if (clock.isPlaying) {
       clock.advance(Math.min(passed, 250) / 1000);
-      this.isAsked ||= !clock.isPlaying;
+      this.hasChanged ||= !clock.isPlaying;
       this.onframe();
     }
-    if (!this.isAsked && now - this.sent < EVERY) return;
+    if (!this.hasChanged && now - this.sent < PANEL_INTERVAL) return;
     this.sent = now;
-    this.isAsked = false;
+    this.hasChanged = false;
     this.#send({ panel: this.hasPanel ? this.#panel() : null, timeLine: this.run.frames > 1 ? this.#timeLine() : null,
-      areas: this.isPlotted ? [this.#plotArea()] : [], help: this.isHelping ? this.#help() : null,
+      areas: this.isPlotted ? [this.#plotArea()] : [], help: this.showsHelp ? this.#help() : null,
       details: this.#details(), notes: this.switches.legend ? this.#notes() : [] });
   }
 
-  /** The current state to draw. @param {import("./stage.js").Stage} stage @returns {import("./view.js").Moment} */
+  /** Returns the current state to draw. @param {import("./stage.js").Stage} stage @returns {import("./view.js").Moment} */
   moment(stage) {
     const { run, clock, switches, geoms } = this, { frame } = clock;
     const areSome = run.joints.some((joint) => joint.arrow.on);
@@ -264,25 +264,25 @@ export class Recording {
         addStraight(run, clock.at, sites, hasArrow, geoms);
         return geoms;
       },
-      cards: () => switches.numbers ? this.cards.at(stage, frame) : [],
+      billboards: () => switches.numbers ? this.billboards.at(stage, frame) : [],
     };
   }
 
-  /** Text in the corner: notes and legend. */
+  /** Returns the text in the corner, which consists of notes and legend. */
   #notes() {
     const { run, switches, clock: { frame } } = this, line = run.arrows.quantities[this.quantity]?.line ?? "";
-    const noted = run.notes.texts[run.notes.at[frame]], meant = run.legend.texts[run.legend.at[frame]];
-    const legend = switches.arrows ? meant.map((each) => each ?? line) : [];
-    return [noted ? [noted] : [], legend].filter((block) => block.length);
+    const note = run.notes.texts[run.notes.at[frame]], lines = run.legend.texts[run.legend.at[frame]];
+    const legend = switches.arrows ? lines.map((each) => each ?? line) : [];
+    return [note ? [note] : [], legend].filter((block) => block.length);
   }
 
-  /** Whether a switch has an effect. @param {string} key */
+  /** Returns whether a switch has an effect. @param {string} key */
   #has(key) {
     const { run } = this, hasJoints = run.joints.length > 0;
     if (key === "doubles") return run.bodies.some((body) => body.double >= 0);
     if (key === "arrows") return hasJoints || run.switches.arrows;
     if (key === "legend") return [...run.notes.texts, ...run.legend.texts].some(({ length }) => length);
-    return key !== "numbers" || hasJoints || run.cards.length > 0;
+    return key !== "numbers" || hasJoints || run.arrowTexts.length > 0;
   }
 
   /** @returns {Node[]} */
@@ -329,7 +329,7 @@ export class Recording {
     return [{ k: "title", s: "Mouse and keys" }, { k: "table", id: "keys", widths: [9, 0], rows }];
   }
 
-  /** Name and values of the selected item, or null. */
+  /** Returns the name and the values of the selected item, or null. */
   #details() {
     const { run, selected, clock: { frame } } = this;
     if (!selected) return null;
@@ -337,8 +337,8 @@ export class Recording {
     /** @type {[string, string][]} */
     const rows = [];
     if (kind === VECTOR) {
-      const card = run.cards.find((each) => each.item === item);
-      if (card) rows.push(["value", card.texts[card.at[frame]]]);
+      const entry = run.arrowTexts.find((each) => each.item === item);
+      if (entry) rows.push(["value", entry.texts[entry.at[frame]]]);
       return { name: run.vectors[item], rows };
     }
     if (joint) {
@@ -350,24 +350,24 @@ export class Recording {
         if (Number.isFinite(value)) rows.push([WORDS[line.label] || line.label, textOf(line, value)]);
       }
     }
-    return { name: body || joint?.name || "decor", rows };
+    return { name: body || joint?.name || "overlay", rows };
   }
 }
 
-/** The text below the title: size of the run, and its expectations. @param {import("./data.js").Run} run */
+/** Returns the text below the title, with the size of the run and its expectations. @param {import("./data.js").Run} run */
 function statusOf({ joints, frames, fps, marks, silent }) {
   const own = joints.filter((joint) => joint.double < 0).length;
   const about = [...(own ? [`${own} joints`] : []), frames > 1 ? `${((frames - 1) / fps).toFixed(1)} s` : "a pose"];
   const failed = marks.filter(({ kind }) => kind === "failed").length;
-  const judged = failed + marks.filter(({ kind }) => kind === "held").length;
+  const tested = failed + marks.filter(({ kind }) => kind === "held").length;
   const pieces = [[about.join(" · "), "dim"]];
-  if (judged) pieces.push(failed ? [`${failed} of ${judged} expectations failed`, "bad"] : [`all ${judged} expectations held`, "dim"]);
+  if (tested) pieces.push(failed ? [`${failed} of ${tested} expectations failed`, "bad"] : [`all ${tested} expectations held`, "dim"]);
   if (silent.length) pieces.push([`no data from ${silent.join(", ")}`, "dim"]);
   return pieces;
 }
 
 /**
- * The marks of a run as ticks; marks with a duration are labeled if there is space.
+ * Returns the marks of a run as ticks. Marks with a duration have a label.
  * @param {import("./data.js").Run} run
  * @returns {[number, string, string, number, string][]}
  */

@@ -1,4 +1,4 @@
-/** The model: one geometry for opaque parts, one for doubles; poses of bodies are in a texture. */
+/** The bodies of a model. Opaque parts and doubles are one geometry each. A texture has the poses of bodies. */
 
 import * as THREE from "three";
 import { mixer } from "./data.js";
@@ -11,9 +11,9 @@ import { backOf, ball, capsule, cylinder, finish, finishOf, isPlane, metallicOf,
 
 const ONE = new THREE.Vector3(1, 1, 1);
 const FAINT = 0.3; // opacity of surfaces in the transparent mode, as in MuJoCo
-const TEXELS = 5; // texels of a body: pose, opacity and grayness
+const TEXELS = 5; // number of texels per body, for pose, opacity and grayness
 
-/** Returns a pose as a matrix. @param {number[]} pos @param {number[]} quat w first */
+/** Returns the matrix of a pose. @param {number[]} pos @param {number[]} quat in the order w, x, y, z */
 export function matrixOf(pos, quat) {
   const turn = new THREE.Quaternion(quat[1], quat[2], quat[3], quat[0]);
   return new THREE.Matrix4().compose(new THREE.Vector3(pos[0], pos[1], pos[2]), turn, ONE);
@@ -42,8 +42,8 @@ function shapeOf(geom, run) {
 const blendedTwice = ([r, g, b, a]) => [r, g, b, Math.round(255 * (1 - (1 - a / 255) ** 2))];
 
 /**
- * Joins geoms into one geometry, in the frames of the bodies, with a group for each part.
- * @param {Geom[][]} parts @param {Run} run @param {number} texture of all geoms; -1 for none
+ * Joins geoms into one geometry in the frames of the bodies, with a group for each part.
+ * @param {Geom[][]} parts @param {Run} run @param {number} texture index of the texture; -1 for none
  */
 function merged(parts, run, texture) {
   const geoms = parts.flat();
@@ -95,9 +95,9 @@ function merged(parts, run, texture) {
   return geometry.setIndex(new THREE.BufferAttribute(index, 1));
 }
 
-/** All bodies of a run. */
+/** Draws all bodies of a run. */
 export class Robots {
-  /** @param {Run} run @param {import("./shading.js").SkyUniforms | null} sky null with other lights */
+  /** @param {Run} run @param {import("./shading.js").SkyUniforms | null} sky null if the model has its own lights */
   constructor(run, sky) {
     this.run = run;
     this.sky = sky;
@@ -110,8 +110,8 @@ export class Robots {
       geom.rgba[3] < 255 || run.bodies[geom.body].double >= 0;
     this.geoms = run.geoms.concat(run.geoms.filter(isPlane).map(backOf));
     this.solidGeoms = run.geoms.filter((geom) => !isGhost(geom));
-    this.pictures = texturesOf(run);
-    /** Of what is opaque, unless it is shaded otherwise: of what stands, and of what moves. @type {THREE.MeshPhongMaterial[][]} */
+    this.textures = texturesOf(run);
+    /** Materials of opaque parts: for each texture, one of static parts and one of moving parts. @type {THREE.MeshPhongMaterial[][]} */
     this.surfaces = [];
     this.mirrorGeom = mirrorOf(run)?.geom;
     this.mirror = this.mirrorGeom ? new Mirror() : null;
@@ -119,12 +119,12 @@ export class Robots {
     this.solid = solid;
     this.depth = depth;
     this.ghosts = ghosts;
-    // One more mesh for each texture.
-    this.textured = this.pictures.flatMap((_, k) => this.#meshes(k, isGhost));
+    // Each texture needs its own meshes.
+    this.textured = this.textures.flatMap((_, k) => this.#meshes(k, isGhost));
   }
 
   /**
-   * Returns the meshes of all geoms with a texture: for opaque geoms, and depth and color for others.
+   * Returns the meshes of all geoms with a texture: one of opaque geoms, and two for depth and color of others.
    * @param {number} texture -1 for none @param {(geom: Geom) => boolean} isGhost
    */
   #meshes(texture, isGhost) {
@@ -137,7 +137,7 @@ export class Robots {
     const solid = this.#mesh(merged(parts, this.run, texture), looks);
     solid.castShadow = solid.receiveShadow = true;
     this.surfaces.push(looks);
-    // Depth first, then the color of the nearest surface, so that no inner surface is visible.
+    // The depth is drawn before the color, so that only the nearest surface is visible.
     const shape = merged([ghosts], this.run, texture);
     const depth = this.#mesh(shape, this.#material({ colorWrite: false }, true, texture));
     const colour = this.#mesh(shape, this.#material({ transparent: true, depthWrite: false }, true, texture));
@@ -172,15 +172,15 @@ export class Robots {
   }
 
   /**
-   * @param {object} look @param {boolean} isBehind whether it is drawn a little farther away, so
-   * that it does not flicker where it coincides with a robot @param {number} texture -1 for none
+   * @param {object} look @param {boolean} isBehind whether surfaces are drawn a little farther away, so
+   * that they do not flicker where they coincide with a robot @param {number} texture -1 for none
    */
   #material(look, isBehind, texture) {
     const material = new THREE.MeshPhongMaterial({ vertexColors: true, ...look });
-    const picture = this.pictures[texture] ?? null;
+    const image = this.textures[texture] ?? null;
     const isCube = texture >= 0 && this.run.textures[texture].cube;
     material.onBeforeCompile = (shader) => {
-      finish(shader, this.run, this.sky, picture, isCube, isBehind ? null : this.mirror);
+      finish(shader, this.run, this.sky, image, isCube, isBehind ? null : this.mirror);
       this.#pose(shader, isBehind);
     };
     material.customProgramCacheKey = () => `body ${isBehind} ${texture < 0 ? "" : isCube}`;
@@ -200,7 +200,7 @@ export class Robots {
     return mesh;
   }
 
-  /** Updates the bodies. @param {number} at frame, with a fraction @param {boolean} hasDoubles */
+  /** Updates the poses of the bodies. @param {number} at frame with a fractional part @param {boolean} hasDoubles */
   place(at, hasDoubles) {
     const { run, texels } = this, { frames } = run;
     const before = Math.floor(at), mix = mixer(at, frames);
@@ -231,9 +231,9 @@ export class Robots {
     }
   }
 
-  /** Frees textures and the render target of a mirror. */
+  /** Frees the textures and the render target of the mirror. */
   dispose() {
-    for (const each of [this.texture, ...this.pictures]) each.dispose();
+    for (const each of [this.texture, ...this.textures]) each.dispose();
     this.mirror?.target.dispose();
   }
 

@@ -1,13 +1,13 @@
 /**
- * Messages of a live page: sections of a state. The latest value of each section is valid.
+ * Parses messages of a live page, which consist of sections of its state.
  *
- *     u32 n (little endian) | n bytes of a JSON head | payloads, each from a multiple of 4 on
+ *     u32 n (little endian) | n bytes of a JSON head | payloads, each aligned to 4 bytes
  *     head = {"json": {name: value}, "bytes": [[name, length]]}
  */
 
 /** @typedef {{json: Map<string, any>, bytes: Map<string, Uint8Array>}} Sections */
 
-const MOST_SECTIONS = 256;
+const MAX_SECTIONS = 256;
 
 /**
  * Parses a message. The payloads are views of the message.
@@ -23,7 +23,7 @@ export function readSections(message) {
     throw new Error("found a head without tables");
   }
   const listed = head.bytes ?? [];
-  if (listed.length > MOST_SECTIONS) throw new Error(`found ${listed.length} payloads`);
+  if (listed.length > MAX_SECTIONS) throw new Error(`found ${listed.length} payloads`);
   const bytes = new Map();
   let at = aligned(4 + size);
   for (const each of listed) {
@@ -63,7 +63,7 @@ export class Reader {
     this.at = 0;
   }
 
-  /** @param {ArrayBufferView} to is filled with what comes next */
+  /** Fills an array with the next bytes. @param {ArrayBufferView} to */
   take(to) {
     const end = this.at + to.byteLength;
     if (end > this.bytes.length) throw new Error(`found ${this.bytes.length} bytes, expected ${end}`);
@@ -71,12 +71,12 @@ export class Reader {
     this.at = end;
   }
 
-  /** Reads the count of following elements, which have at least `each` bytes. @param {number} each */
+  /** Reads the number of the following elements, which have at least `each` bytes. @param {number} each */
   count(each) {
     const number = new Uint32Array(1);
     this.take(number);
     const [count] = number;
-    if (count * each > this.bytes.length - this.at) throw new Error(`found ${count} of them in ${this.bytes.length} bytes`);
+    if (count * each > this.bytes.length - this.at) throw new Error(`found ${count} elements in ${this.bytes.length} bytes`);
     return count;
   }
 }

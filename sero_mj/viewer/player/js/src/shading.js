@@ -1,7 +1,7 @@
-/** Shades surfaces in the light of the surroundings, in linear colors as Filament does. */
+/** Shades surfaces in the light of the surroundings, with linear colors as in Filament. */
 
 /**
- * The light of the sky for shaders, as computed by `SkyLight` in Python.
+ * Uniforms with the light of the sky, as computed by `SkyLight` in Python.
  * @typedef {{fill: {value: import("three").Vector3}, reflections: {value: import("three").Texture}}} SkyUniforms
  */
 
@@ -55,7 +55,7 @@ const LIGHT = `
 `;
 
 /**
- * Makes a Phong shader compute in linear colors.
+ * Makes a Phong shader compute with linear colors.
  * @param {import("three").WebGLProgramParametersWithUniforms} shader @param {SkyUniforms} uniforms
  * @param {string} surface GLSL, a `Surface`
  */

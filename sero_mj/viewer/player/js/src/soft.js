@@ -1,4 +1,4 @@
-/** Soft parts: skins, which bones move, and flexes and tendons, whose positions are in the run. */
+/** Soft parts: skins, which bones move, and flexes and tendons, whose positions the run contains. */
 
 import * as THREE from "three";
 import { mixer } from "./data.js";
@@ -15,7 +15,7 @@ const at = (of, k) => new THREE.Vector3(of[3 * k], of[3 * k + 1], of[3 * k + 2])
 
 /**
  * Returns a mesh whose vertices move.
- * @param {number} count of the vertices @param {ArrayLike<number>} triangles
+ * @param {number} count number of vertices @param {ArrayLike<number>} triangles
  * @param {THREE.Material} material @param {Float32Array} [uv]
  */
 function meshOf(count, triangles, material, uv) {
@@ -35,7 +35,7 @@ function inflate(shape, far) {
   for (let i = 0; i < position.array.length; i++) position.array[i] += far * normal.array[i];
 }
 
-/** A skin, whose vertices are weighted means of the positions in the frames of the bones. */
+/** A skin. The position of a vertex is a weighted mean of its positions in the frames of the bones. */
 class MovedSkin {
   /** @param {Run} run @param {Sky} sky @param {Skin} skin @param {THREE.Texture[]} textures */
   constructor(run, sky, skin, textures) {
@@ -43,7 +43,7 @@ class MovedSkin {
     const count = skin.positions.length / 3;
     this.mesh = meshOf(count, skin.triangles, materialOf(run, sky, skin, textures),
       repeated(run, skin));
-    // Transforms from the world in the bind pose to the bones.
+    // These transforms convert from world coordinates in the bind pose to the frames of the bones.
     this.bind = skin.bones.map(({ pos, quat: [w, x, y, z] }) => new THREE.Matrix4().compose(
       new THREE.Vector3().fromArray(pos), new THREE.Quaternion(x, y, z, w),
       new THREE.Vector3(1, 1, 1)).invert());
@@ -71,7 +71,7 @@ class MovedSkin {
   }
 }
 
-/** A flex: a cable of tubes, a cloth of two sides and a seam, or the shell of a solid. */
+/** A flex: a cable that consists of tubes, a cloth with two sides and a seam, or the shell of a solid. */
 class MovedFlex {
   /** @param {Run} run @param {Sky} sky @param {Flex} flex @param {THREE.Texture[]} textures */
   constructor(run, sky, flex, textures) {
@@ -132,7 +132,7 @@ class MovedFlex {
 
 /** All soft parts of a run. */
 export class SoftParts {
-  /** @param {Run} run @param {Sky} sky null where other lights shine */
+  /** @param {Run} run @param {Sky} sky null if the model has its own lights */
   constructor(run, sky) {
     this.run = run;
     this.group = new THREE.Group();
@@ -148,7 +148,7 @@ export class SoftParts {
     this.group.add(this.tendons.mesh);
   }
 
-  /** Updates the soft parts. @param {number} time frame, with a fraction @param {THREE.Matrix4[]} bodies */
+  /** Updates the soft parts. @param {number} time frame with a fractional part @param {THREE.Matrix4[]} bodies */
   place(time, bodies) {
     const { soft, tendons, frames } = this.run;
     const before = Math.floor(time), mix = mixer(time, frames);

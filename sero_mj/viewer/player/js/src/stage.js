@@ -1,4 +1,4 @@
-/** The scene: camera, surroundings and robots. */
+/** The displayed scene, with camera, surroundings and robots. */
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
@@ -14,9 +14,9 @@ import { BACKDROP, Surroundings } from "./surroundings.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
-const SLOW = 60; // ms per frame, above which shadows are omitted, then the doubles' depth
+const SLOW = 60; // time per frame above which shadows are omitted, and then the depth of doubles, ms
 
-/** Returns the renderer of a canvas; throws an error without WebGL 2. @param {HTMLCanvasElement} canvas */
+/** Returns the renderer of a canvas. Throws an error if WebGL 2 is not available. @param {HTMLCanvasElement} canvas */
 export function rendererOf(canvas) {
   // MuJoCo's classic renderer computes with displayed colors, not linear ones.
   THREE.ColorManagement.enabled = false;
@@ -42,7 +42,7 @@ export class Stage {
     this.orbit = new OrbitControls(this.camera, canvas);
     this.orbit.mouseButtons.MIDDLE = THREE.MOUSE.PAN;
     this.fixed = -1;
-    /** Displacement of the camera with the followed frame, m. */
+    /** Displacement of the camera, which follows a frame, m. */
     this.followed = [0, 0, 0];
     this.surroundings = new Surroundings(run);
     const sky = run.lights ? null : this.surroundings.uniforms;
@@ -51,7 +51,7 @@ export class Stage {
     this.items = new Items();
     this.soft = new SoftParts(run, sky);
     this.lamps = run.lights && new Lamps(run.lights, this.scene, this.camera, 0.6 * run.eye.distance);
-    /** Objects that cast shadows. */
+    /** The light that casts shadows. */
     this.sun = this.lamps ? this.lamps.sun : this.surroundings.sun;
     this.sites = run.joints.map(() => new THREE.Matrix4());
     this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
@@ -63,7 +63,7 @@ export class Stage {
     this.chooseCamera(run.eye.fixed);
   }
 
-  /** Uses a camera of the scene, or with -1 the initial view. @param {number} number */
+  /** Uses a camera of the scene, or the initial view. @param {number} number -1 for the initial view */
   chooseCamera(number) {
     const { eye, cameras } = this.run;
     this.fixed = number < cameras.length ? number : -1;
@@ -73,10 +73,10 @@ export class Stage {
     this.look(eye);
   }
 
-  /** Factor of the camera's distance in narrow images. */
+  /** Factor for the camera's distance, which is above 1 in narrow images. */
   get back() { return standingBack(this.run.eye.aspect, this.size.width, this.size.height); }
 
-  /** Uses a free camera. @param {import("./eye.js").View} view with the distance for wide images */
+  /** Uses a free camera. @param {import("./eye.js").View} view its distance is that for wide images */
   look(view) {
     this.fixed = -1;
     this.camera.fov = this.run.eye.fovy;
@@ -95,7 +95,7 @@ export class Stage {
     this.orbit.update();
   }
 
-  /** Follows the path of the camera in the file. The user can still rotate the camera. @param {number} at frame */
+  /** Moves the camera along its path in the run. The user can still rotate the camera. @param {number} at frame */
   #follow(at) {
     const { follow, frames } = this.run;
     if (!follow) return;
@@ -104,7 +104,7 @@ export class Stage {
     else this.followed = now;
   }
 
-  /** View of the free camera, with the distance for wide images. */
+  /** Parameters of the free camera, with its distance for wide images. */
   get view() {
     const view = viewFrom(this.camera.position.toArray(), this.orbit.target.toArray());
     return { ...view, distance: view.distance / this.back };
@@ -136,10 +136,10 @@ export class Stage {
 
   /**
    * Updates all parts of the scene.
-   * @param {number} at frame, with a fraction @param {boolean} hasDoubles
+   * @param {number} at frame with a fractional part @param {boolean} hasDoubles
    * @param {(joint: number) => boolean} hasArrow
    * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms
-   *   returns decor from the poses of the joints
+   *   returns the geoms of overlays for the poses of the joints
    * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] poses of joints in the world
    */
   place(at, hasDoubles, hasArrow, geoms, sites = null) {
@@ -168,7 +168,7 @@ export class Stage {
     this.surroundings.place(this.camera, this.followed, robots.matrices);
   }
 
-  /** Draws the scene. @returns {number} draw calls */
+  /** Draws the scene. @returns {number} number of draw calls */
   draw() {
     this.robots.reflect(this.renderer, this.scene, this.camera, this.hasShadows);
     this.renderer.render(this.scene, this.camera);
@@ -176,8 +176,8 @@ export class Stage {
   }
 
   /**
-   * Omits expensive effects if frames take long.
-   * @param {number} spent ms since the last frame, while frames are drawn continuously
+   * Omits expensive effects if rendering is slow.
+   * @param {number} spent time since the last frame in ms, while frames are drawn continuously
    */
   notePace(spent) {
     this.spent += 0.1 * (Math.min(spent, 500) - this.spent);
@@ -187,16 +187,16 @@ export class Stage {
     else this.robots.depth.visible = false;
   }
 
-  /** Returns the center of a joint, m. @param {number} joint */
+  /** Returns the center of a joint in m. @param {number} joint */
   centre(joint) { return new THREE.Vector3().setFromMatrixPosition(this.sites[joint]); }
 
-  /** Returns the pixel of a point, y down, and whether the point is in front of the camera. @param {THREE.Vector3} place */
+  /** Returns the pixel of a point (y points down), and whether the point is in front of the camera. @param {THREE.Vector3} place */
   pixel(place) {
     const { x, y, z } = place.clone().project(this.camera), { width, height } = this.size;
     return { x: (x + 1) / 2 * width, y: (1 - y) / 2 * height, isSeen: z < 1 };
   }
 
-  /** Returns the item at a pixel, y down. @param {number} x @param {number} y */
+  /** Returns the item at a pixel (y points down), or null. @param {number} x @param {number} y */
   pick(x, y) {
     const { width, height } = this.size, ray = new THREE.Raycaster();
     ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
@@ -211,7 +211,7 @@ export class Stage {
     return { body: body.name, joint: body.joint };
   }
 
-  /** Returns the joint whose round arrow passes within some pixels of a pixel, or -1. */
+  /** Returns the joint whose round arrow is less than 6 pixels away from a pixel, or -1. */
   #arrow(/** @type {number} */ x, /** @type {number} */ y) {
     const place = new THREE.Vector3();
     for (const [k, j] of this.arrows.joints.entries()) {
@@ -236,7 +236,7 @@ export class Stage {
     return !hit || hit.distance > far - 0.01;
   }
 
-  /** Frees the resources on the graphics card, except the renderer. */
+  /** Frees all resources on the graphics card except the renderer. */
   dispose() {
     this.orbit.dispose();
     this.robots.dispose();

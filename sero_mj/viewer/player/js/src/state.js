@@ -1,4 +1,4 @@
-/** The state of a live page: a run of one frame, whose arrays are overwritten by the server's sections. */
+/** The state of a live page. It is a run with one frame, whose arrays are overwritten by sections of the server. */
 
 import { decode } from "./data.js";
 import * as THREE from "three";
@@ -7,15 +7,15 @@ import { Reader, fill } from "./sections.js";
 
 /** @typedef {import("./data.js").Run} Run */
 /** @typedef {{kind: number, item: number, at: number[], lines: [string, string][], title: string,
- *   share: number | null, sign: "" | "positive" | "negative", stale: boolean, always: boolean}} SentCard */
+ *   share: number | null, sign: "" | "positive" | "negative", stale: boolean, always: boolean}} SentBillboard */
 
-const TURN = 1 / 16384; // resolution of a component of a unit quaternion
+const TURN = 1 / 16384; // resolution of the components of unit quaternions
 const BYTES_OF_GEOM = 12 + 12 + 16 + 12 + 4;
 
-/** The state. */
+/** The displayed state of a live page. */
 export class State {
   /**
-   * @param {Uint8Array} bytes of the section `run` @param {string[]} [keys] names of the values
+   * @param {Uint8Array} bytes contents of the section `run` @param {string[]} [keys] names of the values
    * @throws {Error} if the bytes are invalid
    */
   constructor(bytes, keys = []) {
@@ -36,20 +36,20 @@ export class State {
   }
 
   /**
-   * The current state to draw.
+   * Returns the current state to draw.
    * @param {unknown} _ @param {Record<string, any>} now the latest JSON sections @returns {import("./view.js").Moment}
    */
   moment(_, now) {
     return {
       at: 0, hasDoubles: true, hasArrow: (joint) => this.arrowOn[joint] > 0, geoms: () => this.geoms, sites: this.sites,
-      labels: now.labels ?? [], cards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
+      labels: now.labels ?? [], billboards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
     };
   }
 
   /**
    * Applies a section of bytes.
    * @param {string} name @param {Uint8Array} bytes
-   * @returns {boolean} whether the section is part of the state @throws {Error} if it does not fit
+   * @returns {boolean} whether the section is part of the state @throws {Error} if its length is wrong
    */
   take(name, bytes) {
     const { run } = this;
@@ -70,7 +70,7 @@ export class State {
 
   /**
    * Applies a section of JSON.
-   * @param {string} name @param {any} value @returns {boolean} whether it is one of the state
+   * @param {string} name @param {any} value @returns {boolean} whether the section is part of the state
    */
   takeJson(name, value) {
     if (name === "valueKeys") this.keys = value.map(String);
@@ -119,7 +119,7 @@ export class State {
     return true;
   }
 
-  /** Positions of the joints in the world, for models whose joints have no sites. @param {Reader} reader */
+  /** Reads poses of the joints in the world, for models whose joints have no sites. @param {Reader} reader */
   #sites(reader) {
     const joints = this.run.joints.length;
     this.sites ??= { positions: new Float32Array(3 * joints), turns: new Float32Array(4 * joints) };
@@ -130,11 +130,11 @@ export class State {
 }
 
 /**
- * Returns the billboards that the server has sent, with kind and item as keys.
- * @param {SentCard[]} cards @param {number} selected joint; -1 for none @returns {import("./cards.js").Content[]}
+ * Returns the contents of the billboards that the server has sent. Their keys consist of kind and item.
+ * @param {SentBillboard[]} billboards @param {number} selected joint; -1 for none @returns {import("./billboards.js").Content[]}
  */
-function contentsOf(cards, selected) {
-  return cards.map(({ kind, item, at, lines, title, share, sign, stale, always }) => {
+function contentsOf(billboards, selected) {
+  return billboards.map(({ kind, item, at, lines, title, share, sign, stale, always }) => {
     const isChosen = kind === BILLBOARD && item === selected;
     return { key: `${kind} ${item}`, title, lines, sign, isStale: stale, isChosen,
       at: new THREE.Vector3().fromArray(at), load: always || isChosen ? Infinity : share ?? -1 };

@@ -1,4 +1,4 @@
-/** Materials, textures and texture coordinates, by MuJoCo's rules. */
+/** Materials, textures and texture coordinates, with the rules of MuJoCo. */
 
 import * as THREE from "three";
 import { shade } from "./shading.js";
@@ -36,8 +36,8 @@ export const textureOf = (run, { material }) =>
   material === undefined ? -1 : run.materials[material].texture;
 
 /**
- * Returns emission, specular and shininess, 0 to 255, and 0. In the light of the sky, roughness
- * replaces shininess.
+ * Returns emission, specular and shininess from 0 to 255, and 0 for the reflectance. In the light of
+ * the sky, roughness replaces shininess.
  * @param {Run} run @param {{material?: number}} of
  */
 export function finishOf(run, { material }) {
@@ -48,14 +48,14 @@ export function finishOf(run, { material }) {
   return [emission, roughness >= 0 ? 0.5 : specular, smooth, 0].map((each) => Math.round(255 * Math.min(each, 1)));
 }
 
-/** Returns the roughness for a shininess, both 0 to 1, as `finish` for Filament in Python. */
+/** Converts a shininess to a roughness, both from 0 to 1, as `finish` for Filament does in Python. */
 const roughnessOf = (/** @type {number} */ shininess) => (2 / (128 * Math.max(shininess, 0) + 2)) ** 0.25;
 
-/** Returns the metallic value of a geom, 0 to 255. @param {Run} run @param {{material?: number}} of */
+/** Returns the metallic value of a geom from 0 to 255. @param {Run} run @param {{material?: number}} of */
 export const metallicOf = (run, { material }) =>
   material === undefined ? 0 : Math.round(255 * (run.materials[material].metallic ?? 0));
 
-/** Returns half the extents of a geom, by which MuJoCo scales the shape. @param {Geom} geom */
+/** Returns half the extents of a geom, with which MuJoCo scales the shape. @param {Geom} geom */
 export function extentsOf({ type, size: [a, b, c] }) {
   if (type === SPHERE) return [a, a, a];
   return type === CAPSULE || type === CYLINDER ? [a, a, b] : [a, b, c];
@@ -69,8 +69,7 @@ function timesOf(run, geom) {
 
 /**
  * Returns the texture coordinates of a shape's vertices: (u, v, 0), or a direction for a cube map.
- * @param {Run} run @param {Geom} geom @param {THREE.BufferGeometry} shape in the geom's frame,
- * from `shapeOf`
+ * @param {Run} run @param {Geom} geom @param {THREE.BufferGeometry} shape result of `shapeOf`
  */
 export function placesIn(run, geom, shape) {
   const material = run.materials[geom.material ?? 0];
@@ -111,13 +110,13 @@ function direction(run, geom, { attributes: { position } }, i) {
   return unit.map((each, k) => uniform ? each * extents[k] : each);
 }
 
-/** Returns the number of sides of a round shape with a radius in m; large shapes have more. */
+/** Returns the number of sides of a round shape with a radius in m. Large shapes have more sides. */
 const sides = (/** @type {number} */ radius) =>
   Math.round(28 * Math.min(Math.max(Math.sqrt(radius / 0.14), 1), 2.5));
 
 /**
- * Returns a sphere of radius 1 about z, or a part of it. @param {number} radius when drawn, m
- * @param {number} share fraction of the rows of the sphere @param {number[]} part
+ * Returns a sphere of radius 1 about z, or a part of it. @param {number} radius displayed radius, m
+ * @param {number} share fraction of the sphere's rows @param {number[]} part
  */
 export const ball = (radius, share = 1, ...part) =>
   new THREE.SphereGeometry(1, sides(radius), Math.round(sides(radius) * 0.58 * share), 0,
@@ -142,18 +141,19 @@ export function capsule(a, b) {
 
 /** Returns a plane, which may be infinite. @param {Geom} geom @param {Run} run */
 export function planeOf({ size: [a, b], isBack }, { reach }) {
-  const far = 4 * (reach ?? 0); // an infinite plane ends beyond the view of the camera
+  const far = 4 * (reach ?? 0); // An infinite plane ends where the camera cannot see it.
   const shape = new THREE.PlaneGeometry(2 * (a || far), 2 * (b || far));
   return isBack ? shape.rotateX(Math.PI) : shape;
 }
 
-/** Returns the back of a plane, which is transparent. @param {Geom} plane @returns {Geom} */
+/** Returns the back side of a plane, which is transparent. @param {Geom} plane @returns {Geom} */
 export const backOf = (plane) =>
   ({ ...plane, isBack: true, rgba: plane.rgba.map((each, k) => k < 3 ? each : Math.round(0.3 * each)) });
 
 /**
- * Returns the parameters of specular highlights: exponent for a shininess of 1, and the strength
- * divided by exponent + 2 for a specular of 1. Highlights of a model's lights are as in OpenGL.
+ * Returns the parameters of specular highlights: the exponent for a shininess of 1, and the strength
+ * divided by exponent + 2 for a specular value of 1. Lights of a model have the same highlights as
+ * in OpenGL.
  * @param {Run} run
  */
 const glossOf = ({ lights }) => lights ? { power: 128, strength: 8 * lights.gloss }
@@ -165,7 +165,7 @@ export const isPlane = ({ type }) => type === PLANE;
 /**
  * Adds the finish of each vertex and a texture to a Phong shader.
  * @param {THREE.WebGLProgramParametersWithUniforms} shader @param {Run} run
- * @param {SkyUniforms | null} sky null for scenes with other lights
+ * @param {SkyUniforms | null} sky null if the model has its own lights
  * @param {THREE.Texture | null} texture @param {boolean} isCube
  * @param {import("./mirror.js").Mirror | null} mirror
  */

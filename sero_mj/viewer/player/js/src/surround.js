@@ -1,4 +1,4 @@
-/** The user interface around the image of a page: panels, plots, messages, and control. */
+/** The user interface around the image of a page: panels, plots and messages. */
 
 import { byId, made, mark, write } from "./page.js";
 import { Tree } from "./panels.js";
@@ -7,7 +7,7 @@ import { Tree } from "./panels.js";
 /** @typedef {[text: string, mood: string]} Piece */
 /** @typedef {(message: object) => void} Send */
 
-/** A tree in an element that is shown while the tree exists. */
+/** An element with a tree of widgets, which is visible while the tree exists. */
 class Room {
   /** @param {HTMLElement} element @param {string} name of the tree @param {Send} send */
   constructor(element, name, send) {
@@ -25,8 +25,8 @@ class Room {
 /** A dialog that the server opens and closes. */
 class Dialog {
   /**
-   * @param {string} id of the dialog @param {string} room of the tree
-   * @param {string} name of the tree @param {Send} send @param {string} key that closes it
+   * @param {string} id of the dialog @param {string} room id of the element with the tree
+   * @param {string} name of the tree @param {Send} send @param {string} key that closes the dialog
    */
   constructor(id, room, name, send, key) {
     this.dialog = byId(id);
@@ -48,7 +48,7 @@ class Dialog {
   }
 }
 
-/** Areas beside the image, each with a title and a close button. */
+/** The areas beside the image. Each area has a title and a close button. */
 class Areas {
   /** @param {HTMLElement} room @param {Send} send */
   constructor(room, send) {
@@ -98,7 +98,7 @@ export class Surround {
     this.timeLine = new Room(byId("timeline"), "timeLine", send);
     this.help = new Dialog("helptext", "keys", "help", send, "h");
     byId("close").addEventListener("click", this.help.close);
-    /** The programs that a file requests to run. */
+    /** The dialog about programs that a file requests to run. */
     this.request = new Dialog("request", "actions", "request", send, "escape");
     this.areas = new Areas(byId("areas"), send);
   }
@@ -120,8 +120,8 @@ export class Surround {
       case "status": return this.#status(value ?? []);
       case "details": return this.#details(value);
       case "notes": return this.#notes(value ?? []);
-      case "message": return say(byId("message"), value);
-      case "ongoing": return say(byId("ongoing"), value);
+      case "message": return showPiece(byId("message"), value);
+      case "ongoing": return showPiece(byId("ongoing"), value);
       case "hover": return this.#hover(value);
       default: return false;
     }
@@ -177,7 +177,7 @@ export class Surround {
 }
 
 /** @param {HTMLElement} box @param {Piece | null} piece */
-function say(box, piece) {
+function showPiece(box, piece) {
   box.hidden = !piece;
   write(box, piece?.[0] ?? "");
   box.dataset.mood = piece?.[1] ?? "";

@@ -1,4 +1,4 @@
-/** The surroundings of a scene, as declared for both looks: sky, floor, haze and light. */
+/** The surroundings of a scene, which are declared for both looks: sky, floor, haze and light. */
 
 import * as THREE from "three";
 import { Occlusion } from "./occlusion.js";
@@ -8,11 +8,11 @@ import { shade } from "./shading.js";
 /** @typedef {import("./view.js").Look} Look */
 
 export const BACKDROP = 1; // layer of the sky, which planes do not reflect
-const SOFTNESS = 0.1; // m, half the width of a shadow's edge for a lamp with a radius of 1 m
-const MOST_BLUR = 4; // texels; with more blur, the edge becomes grainy
+const SOFTNESS = 0.1; // half the width of a shadow's edge for a lamp with a radius of 1 m, m
+const MAX_BLUR = 4; // maximum blur, above which shadow edges become grainy, texels
 
-// The five points at which three.js samples shadows. By default, three.js computes and rotates them
-// for every pixel. Constant points save a tenth of the time in software, and edges have no grain.
+// By default, three.js computes and rotates the five points at which it samples shadows for every pixel.
+// Constant points save a tenth of the time in software, and edges have no grain.
 const chunks = THREE.ShaderChunk, disk = /vec2 vogelDiskSample\([^{]*{[^}]*}/;
 chunks.shadowmap_pars_fragment = chunks.shadowmap_pars_fragment.replace(disk,
   `const vec2 DISK[5] = vec2[5](vec2(0.3162, 0.0000), vec2(-0.4039, 0.3700), vec2(0.0618, -0.7044), vec2(0.5091, 0.6640), vec2(-0.9342, -0.1652));
@@ -30,13 +30,13 @@ function lightOf([r, g, b]) {
 const SKY = `
   varying vec3 way; uniform vec3 sky[2]; uniform vec3 haze; uniform float edge;
   void main() {
-    float up = normalize(way).z; // the gradient is that of MuJoCo's skybox
+    float up = normalize(way).z; // The gradient is that of MuJoCo's skybox.
     vec3 rgb = mix(sky[0], sky[1], clamp(.5 + .7071 * up, 0., 1.));
     gl_FragColor = vec4(mix(rgb, haze, clamp(-up / edge, 0., 1.)), 1.);
   }`;
 
-// The color of a checker with lines around every two tiles. Source of the filter: Quilez, Filtering
-// the checkerboard pattern, 2017.
+// This function returns the color of a checkerboard with lines around every two tiles. Source of the
+// filter: Quilez, Filtering the checkerboard pattern, 2017.
 const TILES = `
   vec3 tiled(vec2 at) {
     vec2 wide = max(fwidth(at), 1e-4), whole = abs(fract(.5 * at) - .5);
@@ -45,12 +45,12 @@ const TILES = `
     return mix(mix(tiles[0], tiles[1], .5 + .5 * odd.x * odd.y), tiles[2], max(line.x, line.y));
   }`;
 
-/** Sky, floor, and the light from both. */
+/** Draws sky and floor, and provides the light from both. */
 export class Surroundings {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    /** Half the side of the area with shadows, m. */
+    /** Half the side length of the area with shadows, m. */
     this.reach = 0.6 * run.eye.distance;
     const { looks, floor } = run.surroundings;
     const { reflections: levels } = looks.light;
@@ -88,7 +88,7 @@ export class Surroundings {
     }));
     sky.layers.set(BACKDROP);
     sky.frustumCulled = false;
-    sky.renderOrder = 0.5; // after opaque parts, before transparent ones
+    sky.renderOrder = 0.5; // The sky is drawn after opaque parts and before transparent ones.
     return sky;
   }
 
@@ -126,7 +126,7 @@ export class Surroundings {
     sun.castShadow = true;
     const side = 1024, { bulb } = this.run.surroundings.looks.light;
     sun.shadow.mapSize.set(side, side);
-    sun.shadow.radius = Math.min(SOFTNESS * bulb / (2 * reach / side), MOST_BLUR);
+    sun.shadow.radius = Math.min(SOFTNESS * bulb / (2 * reach / side), MAX_BLUR);
     Object.assign(sun.shadow.camera, {
       left: -reach, right: reach, top: reach, bottom: -reach, near: 0.1, far: 5 * reach,
     });
@@ -153,12 +153,12 @@ export class Surroundings {
     const { value: texture } = uniforms.reflections;
     /** @type {Uint16Array} */ (texture.image.data).set(reflections.flat().map(THREE.DataUtils.toHalfFloat));
     texture.needsUpdate = true;
-    if (this.sun) this.sun.intensity = Math.PI * key; // three divides by pi
+    if (this.sun) this.sun.intensity = Math.PI * key; // three.js divides by pi.
   }
 
   /**
-   * Moves sky and floor to the view of the camera.
-   * @param {THREE.Camera} camera @param {number[]} moved with the followed frame, m
+   * Moves sky and floor with the camera.
+   * @param {THREE.Camera} camera @param {number[]} moved displacement of the followed frame, m
    * @param {THREE.Matrix4[]} matrices poses of bodies
    */
   place(camera, moved, matrices) {

@@ -1,61 +1,61 @@
-/** Marks on a timeline. The text of marks near the displayed time is shown above it. */
+/** Marks on a timeline. The text of marks near the displayed time is shown above the timeline. */
 
 import { boxesOf, byId, made, mark, write } from "./page.js";
 
 /**
  * A mark at a time, or for a duration.
  * @typedef {{begin: number, end: number, text: string, kind: string, label?: string}} Tick
- *   text: with its time; label: shown on marks with a duration if there is space
+ *   text: description with the time; label: text on marks with a duration, shown if there is space
  */
 
 
-const NEAR = 0.012; // fraction of the timeline
-const AFTER = 0.5; // s after a mark, while its text is shown
-const MOST_LINES = 3;
-const OF_TICK = 3; // width of a mark, pixels
-const SHORTEST = 40; // minimum width of a cut label, pixels
-const BESIDE = 8; // pixels between boxes at the lower edge of the image
-const NARROW = 280; // pixels; a narrower space shows no text
+const NEAR = 0.012; // maximum distance of a shown mark from the displayed time, as a fraction of the timeline
+const SHOWN_AFTER = 0.5; // time after a mark during which its text is shown, s
+const MAX_LINES = 3; // maximum number of lines of text
+const TICK_WIDTH = 3; // width of a mark, pixels
+const MIN_LABEL = 40; // minimum width of a cut label, pixels
+const BESIDE = 8; // distance between boxes at the lower edge of the image, pixels
+const NARROW = 280; // minimum width of a space for text, pixels
 
 /**
- * The marks whose text is shown: the nearest one, and others at the same time.
+ * Returns the marks whose text is shown: the nearest one, and others at the same time.
  * @param {Tick[]} ticks @param {number} at displayed time, s @param {number} length of the timeline, s
  * @returns {Tick[]}
  */
-export function toldAt(ticks, at, length) {
-  const near = NEAR * length, after = Math.max(near, AFTER);
+export function ticksAt(ticks, at, length) {
+  const near = NEAR * length, after = Math.max(near, SHOWN_AFTER);
   /** @type {Tick[]} */
-  let told = [];
-  let least = Infinity;
+  let found = [];
+  let nearest = Infinity;
   for (const tick of ticks) {
     const passed = at - tick.begin, isIn = tick.end > tick.begin && !tick.label && passed >= 0 && at <= tick.end;
     if (!tick.text || !isIn && (passed < -near || passed > after)) continue;
     const away = Math.abs(passed);
-    if (away < least - 1e-3) [told, least] = [[], away];
-    if (away <= least + 1e-3) told.push(tick);
+    if (away < nearest - 1e-3) [found, nearest] = [[], away];
+    if (away <= nearest + 1e-3) found.push(tick);
   }
-  return told;
+  return found;
 }
 
-/** A key that identifies a mark. @param {Tick} tick */
+/** Returns a key that identifies a mark. @param {Tick} tick */
 const keyOf = ({ begin, end, kind, text }) => JSON.stringify([begin, end, kind, text]);
 
-/** The first lines of a text. @param {string[]} lines */
-const few = (lines) => lines.length <= MOST_LINES ? lines
-  : [...lines.slice(0, MOST_LINES - 1), `and ${lines.length - MOST_LINES + 1} more`];
+/** Returns the first lines of a text, and the number of omitted lines. @param {string[]} lines */
+const firstLines = (lines) => lines.length <= MAX_LINES ? lines
+  : [...lines.slice(0, MAX_LINES - 1), `and ${lines.length - MAX_LINES + 1} more`];
 
 /**
- * The gap between marks for a label: the first one that is long enough, or the longest one.
- * @param {number} needed @param {number[]} edges ascending; pixels
+ * Returns the gap between marks for a label: the first one that is long enough, or the longest one.
+ * @param {number} needed width of the label, pixels @param {number[]} edges of the marks in ascending order, pixels
  * @returns {[begin: number, length: number]}
  */
 export function gapFor(needed, edges) {
   /** @type {[number, number][]} */
-  const gaps = edges.slice(1).map((end, k) => [edges[k], end - edges[k] - OF_TICK]);
+  const gaps = edges.slice(1).map((end, k) => [edges[k], end - edges[k] - TICK_WIDTH]);
   return gaps.find(([, length]) => length >= needed) ?? gaps.reduce((a, b) => b[1] > a[1] ? b : a);
 }
 
-/** The space at the lower edge of the image, beside legend and details or above them, pixels. */
+/** Returns the space at the lower edge of the image, beside or above the legend and the details, in pixels. */
 function roomAbove() {
   const stage = byId("stage").getBoundingClientRect();
   const room = { left: stage.left + BESIDE, right: stage.right - BESIDE, up: 0, foot: stage.bottom }, whole = { ...room };
@@ -67,9 +67,9 @@ function roomAbove() {
   return room.right - room.left < NARROW ? whole : room;
 }
 
-/** The marks of a timeline, as buttons that seek. */
+/** Shows the marks of a timeline as buttons, which seek the time of the mark. */
 export class Ticks {
-  /** @param {HTMLElement} room over the timeline @param {(time: number) => void} onSeek */
+  /** @param {HTMLElement} room element over the timeline @param {(time: number) => void} onSeek */
   constructor(room, onSeek) {
     this.room = room;
     this.onSeek = onSeek;
@@ -79,9 +79,9 @@ export class Ticks {
     this.buttons = new Map();
     this.bubble = made("div", "", { class: "told", hidden: "" });
     room.append(this.bubble);
-    this.low = 0; // ends of the timeline, s
+    this.low = 0; // start and end of the timeline, s
     this.high = 1;
-    this.told = ""; // text that is shown
+    this.text = ""; // displayed text
     this.tallest = 0; // maximum height of the text so far, pixels
     new ResizeObserver(() => {
       this.tallest = 0;
@@ -94,7 +94,7 @@ export class Ticks {
     return Math.min(Math.max((time - this.low) / (this.high - this.low || 1), 0), 1);
   }
 
-  /** Updates the buttons; those of unchanged marks are reused. @param {Tick[]} ticks @param {number} low @param {number} high s */
+  /** Updates the buttons. Those of unchanged marks are reused. @param {Tick[]} ticks @param {number} low @param {number} high s */
   update(ticks, low, high) {
     [this.ticks, this.low, this.high] = [ticks.map((tick) => ({ ...tick })), low, high];
     const before = this.buttons;
@@ -128,12 +128,12 @@ export class Ticks {
       const from = Math.min(Math.max(begin, free), end);
       const edges = [from, ...inOrder.filter((each) => each > from + 1 && each < end), end];
       const needed = words.offsetWidth, [at, length] = gapFor(needed, edges);
-      words.hidden = length < Math.min(needed, SHORTEST);
+      words.hidden = length < Math.min(needed, MIN_LABEL);
       tick.label = words.hidden ? "" : words.textContent ?? "";
       if (words.hidden) continue;
       words.style.left = `${at - begin}px`;
       words.style.maxWidth = `${length}px`;
-      free = at + OF_TICK + Math.min(needed, length);
+      free = at + TICK_WIDTH + Math.min(needed, length);
     }
   }
 
@@ -148,16 +148,16 @@ export class Ticks {
   }
 
   /** Shows the text of marks near a time. @param {number} at s */
-  tell(at) {
-    const told = toldAt(this.ticks, at, this.high - this.low), { bubble } = this;
-    this.told = few(told.map(({ text }) => text)).join("\n");
-    bubble.hidden = !told.length;
-    if (!told.length) return;
-    const isBelow = this.room.closest("#timeline") !== null; // below the image
-    write(bubble, this.told);
-    mark(bubble, "class", `told ${(told.find(({ kind }) => kind === "failed") ?? told[0]).kind}`);
-    // Beside its mark, within the timeline.
-    const share = this.#share(told[0].begin);
+  showAt(at) {
+    const shown = ticksAt(this.ticks, at, this.high - this.low), { bubble } = this;
+    this.text = firstLines(shown.map(({ text }) => text)).join("\n");
+    bubble.hidden = !shown.length;
+    if (!shown.length) return;
+    const isBelow = this.room.closest("#timeline") !== null; // whether the timeline is below the image
+    write(bubble, this.text);
+    mark(bubble, "class", `told ${(shown.find(({ kind }) => kind === "failed") ?? shown[0]).kind}`);
+    // The text is beside its mark, within the timeline.
+    const share = this.#share(shown[0].begin);
     bubble.style.left = `${100 * share}%`;
     bubble.style.transform = `translateX(${-100 * share}%)`;
     const room = isBelow ? roomAbove() : null;
@@ -168,7 +168,7 @@ export class Ticks {
 
   /**
    * Moves the text to where it has space.
-   * @param {number} share of the timeline @param {ReturnType<typeof roomAbove>} room
+   * @param {number} share position of the mark as a fraction of the timeline @param {ReturnType<typeof roomAbove>} room
    */
   #move(share, { left: first, right: last, up, foot }) {
     const { bubble } = this, { left, width, top } = this.room.getBoundingClientRect();

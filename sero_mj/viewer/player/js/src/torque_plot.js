@@ -1,4 +1,4 @@
-/** The plot of a joint of a recorded run: commanded and measured torque, or its angle. */
+/** The plot of a joint of a recorded run, with commanded and measured torque, or with the angle. */
 
 import uPlot from "uplot";
 
@@ -6,18 +6,18 @@ import uPlot from "uplot";
 /** @typedef {import("./graph.js").Content} Content */
 
 const WORDS = { torques: "measured", commanded_torques: "commanded", joint_angles: "angle" };
-// Colors of torque plots of live pages, see `torque_plots.py`.
+// Torque plots of live pages have the same colors, see `torque_plots.py`.
 const RGB = { torques: [0.45, 0.78, 1], commanded_torques: [1, 0.62, 0.18], joint_angles: [0.45, 0.78, 1] };
 const HEIGHT = 10; // height of the plot, in text heights
-const LEAST = 0.01; // minimum range, both relative to the largest value and in the unit of the plot
-const LONGEST = 28; // maximum number of characters of a file name
+const MIN_RANGE = 0.01; // minimum range, relative to the largest value and also in the unit of the plot
+const MAX_NAME = 28; // maximum number of characters of a file name
 
-/** The range of values, which does not enlarge noise. @param {(number | null)[]} values @returns {[number, number]} */
+/** Returns the range of a plot for values, with a minimum so that noise is not enlarged. @param {(number | null)[]} values @returns {[number, number]} */
 function rangeOf(values) {
   let [low, high] = [Infinity, -Infinity];
   for (const each of values) if (each !== null) [low, high] = [Math.min(low, each), Math.max(high, each)];
   if (low > high) return [-1, 1];
-  const least = LEAST * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(least - (high - low), 0) / 2;
+  const minimum = MIN_RANGE * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(minimum - (high - low), 0) / 2;
   return /** @type {[number, number]} */ (uPlot.rangeNum(low - more, high + more, 0.1, true));
 }
 
@@ -26,15 +26,15 @@ function rangeOf(values) {
  * @param {Record<string, string>} files @param {string} which @returns {string}
  */
 export function shortName(files, which) {
-  const paths = Object.values(files).map((file) => file.split(/[\\/]/)), half = LONGEST / 2;
+  const paths = Object.values(files).map((file) => file.split(/[\\/]/)), half = MAX_NAME / 2;
   let parts = 1;
   while (parts < 9 && new Set(paths.map((path) => path.slice(-parts).join("/"))).size < paths.length) parts++;
   const name = files[which].split(/[\\/]/).slice(-parts).join("/");
-  return name.length > LONGEST ? `${name.slice(0, half)}…${name.slice(1 - half)}` : name;
+  return name.length > MAX_NAME ? `${name.slice(0, half)}…${name.slice(1 - half)}` : name;
 }
 
 /**
- * Returns the name of a line: the label on the joint's billboard with its file, or the quantity.
+ * Returns the name of a line, which is the label on the joint's billboard with its file, or the quantity.
  * @param {Run} run @param {number} joint @param {keyof typeof WORDS} key @returns {{name: string, tip?: string}}
  */
 function nameOf({ joints, meanings }, joint, key) {
@@ -58,7 +58,7 @@ export function torquePlot(run, joint) {
     ...nameOf(run, joint, key), rgb: RGB[key], isDashed: key === "commanded_torques", x,
     y: Array.from(own(key), (value) => Number.isFinite(value) ? (isAngle ? 1 : torqueFactor) * value : null),
   }));
-  // A before B, independent of which one was measured.
+  // A must be before B, independent of which one was measured.
   if (lines.every(({ tip }) => tip)) lines.sort((a, b) => a.name.localeCompare(b.name));
   return { x: "s", y: isAngle ? `angle [${angleUnit}]` : torqueLabel, xRange: [begin, x[frames - 1]],
     yRange: rangeOf(lines.flatMap(({ y }) => y)), limits: [], height: HEIGHT, lines };

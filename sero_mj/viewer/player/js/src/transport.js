@@ -1,4 +1,4 @@
-/** The connection of a live page to its server: a websocket that reconnects. */
+/** Connections of a live page to its server, which reconnect automatically. */
 
 /**
  * The source of a page's state: a websocket, a notebook's channel, or a recording.
@@ -6,9 +6,10 @@
  *   onmessage: (message: ArrayBuffer | string | import("./sections.js").Sections) => void, onclose: () => void,
  *   onlocked: () => void, onother: () => void, onframe?: () => void, hadControl: () => boolean,
  *   noteControl: (isInControl: boolean) => void}} Transport
- *   onopen: connected, and the complete state follows; onclose: disconnected;
- *   onlocked: the server needs a token that this browser does not have; onother: another page is served now;
- *   onframe: the image has changed; hadControl, noteControl: whether this tab was in control of the connection before
+ *   onopen: called when connected, before the complete state; onclose: called when disconnected;
+ *   onlocked: called if the server needs a token that this browser does not have;
+ *   onother: called if another page is served now; onframe: called when the image has changed;
+ *   hadControl: returns whether this tab was in control before; noteControl: stores whether it is in control
  */
 
 /**
@@ -18,10 +19,10 @@
  *   noteControl: (isInControl: boolean) => void}} Access
  */
 
-/** The access of this page. */
+/** Returns the access of this page to its server. */
 export const accessOf = () => /** @type {Access} */ (/** @type {any} */ (globalThis).access);
 
-const LEAST_PAUSE = 250, MOST_PAUSE = 2000; // ms, between two attempts
+const MIN_PAUSE = 250, MAX_PAUSE = 2000; // minimum and maximum time between two attempts to connect, ms
 
 /** @implements {Transport} */
 export class SocketTransport {
@@ -29,7 +30,7 @@ export class SocketTransport {
   constructor(path, access) {
     this.path = path;
     this.access = access;
-    this.pause = LEAST_PAUSE;
+    this.pause = MIN_PAUSE;
     /** @type {WebSocket | null} */
     this.socket = null;
     this.onopen = () => {};
@@ -43,14 +44,14 @@ export class SocketTransport {
   /** Connects, and reconnects whenever the connection is lost. */
   open() {
     if (this.access.token()) this.#connect();
-    else this.#openAgain(); // a page without a token, or one that is locked
+    else this.#openAgain(); // The page has no token, or it is locked.
   }
 
   #connect() {
     const socket = this.socket = new WebSocket(this.access.socket(this.path));
     socket.binaryType = "arraybuffer";
     socket.addEventListener("open", () => {
-      this.pause = LEAST_PAUSE;
+      this.pause = MIN_PAUSE;
       this.onopen();
     });
     socket.addEventListener("message", (event) => this.onmessage(event.data));
@@ -63,10 +64,10 @@ export class SocketTransport {
 
   #wait() {
     setTimeout(() => this.#openAgain(), this.pause);
-    this.pause = Math.min(2 * this.pause, MOST_PAUSE);
+    this.pause = Math.min(2 * this.pause, MAX_PAUSE);
   }
 
-  /** Connects, unless another page is served there, for example the start page. */
+  /** Connects unless the server now serves another page, for example the start page. */
   async #openAgain() {
     const page = await this.access.page();
     if (page === "locked") {
@@ -88,33 +89,36 @@ export class SocketTransport {
   }
 }
 
-const ASKING = 500, ALIVE = 4000, GONE = 20_000, LOST = 2000; // ms
+// Time between attempts to connect, and between messages that report a running page, ms.
+const RETRY = 500, ALIVE = 4000;
+// Time without messages after which the connection is closed, and then until it is lost, ms.
+const TIMEOUT = 20_000, LOST = 2000;
 
 /**
- * A page in a cell of a notebook. Messages go to the parent of the frame, in which `bridge.js`
- * forwards them to the kernel.
+ * The connection of a page in a cell of a notebook. The page sends messages to the parent of its frame,
+ * where `bridge.js` forwards them to the kernel.
  * @implements {Transport}
  */
 export class CellTransport {
-  /** @param {string} cell id of the cell's page, which its kernel knows */
+  /** @param {string} cell id of the cell */
   constructor(cell) {
     this.cell = cell;
-    this.client = crypto.getRandomValues(new Uint32Array(2)).join("-"); // several browsers may show a cell
+    this.client = crypto.getRandomValues(new Uint32Array(2)).join("-"); // Several browsers may show the same cell.
     this.isOpen = false;
-    this.heard = 0; // time of the last message, ms
+    this.received = 0; // time of the last message, ms
     this.onopen = () => {};
     this.onclose = () => {};
     this.onlocked = () => {};
     this.onother = () => {};
-    this.onlost = () => {}; // the connection is lost and does not return soon
+    this.onlost = () => {}; // called if a closed connection is not opened again
     /** @type {Transport["onmessage"]} */
     this.onmessage = () => {};
-    this.isAsking = false;
-    this.hadControl = () => false; // a cell does not change its page
+    this.hasStarted = false;
+    this.hadControl = () => false; // A cell does not change its page.
     this.noteControl = () => {};
   }
 
-  /** Returns whether the kernel answers. @param {number} patience ms */
+  /** Returns whether the kernel answers. @param {number} patience maximum time to wait, ms */
   finds(patience) {
     return new Promise((/** @type {(found: boolean) => void} */ answer) => {
       this.onopen = () => answer(true);
@@ -123,26 +127,26 @@ export class CellTransport {
     });
   }
 
-  /** Calls the kernel until it answers, and again whenever the connection is lost. */
+  /** Sends requests to the kernel until it answers, and again whenever the connection is closed. */
   open() {
     if (this.isOpen) queueMicrotask(() => this.onopen());
-    if (this.isAsking) return;
-    this.isAsking = true;
+    if (this.hasStarted) return;
+    this.hasStarted = true;
     addEventListener("message", ({ data, source }) => {
-      if (source === parent && data?.cell === this.cell && data.to === this.client) this.#hear(data);
+      if (source === parent && data?.cell === this.cell && data.to === this.client) this.#receive(data);
     });
     addEventListener("pagehide", () => this.#post("close"));
-    setInterval(() => { if (!this.isOpen) this.#post("open"); }, ASKING);
+    setInterval(() => { if (!this.isOpen) this.#post("open"); }, RETRY);
     setInterval(() => {
-      if (this.isOpen && performance.now() - this.heard > GONE) this.#hear({ kind: "closed" });
+      if (this.isOpen && performance.now() - this.received > TIMEOUT) this.#receive({ kind: "closed" });
       if (this.isOpen) this.#post("alive");
     }, ALIVE);
     this.#post("open");
   }
 
   /** @param {{kind: string, message?: ArrayBuffer | string}} data */
-  #hear({ kind, message }) {
-    this.heard = performance.now();
+  #receive({ kind, message }) {
+    this.received = performance.now();
     if (kind === "opened" && !this.isOpen) {
       this.isOpen = true;
       this.onopen();

@@ -1,12 +1,12 @@
-/** Straight tubes with round ends between moving points: tendons and one-dimensional flexes. */
+/** Straight tubes with round ends between moving points, which show tendons and one-dimensional flexes. */
 
 import * as THREE from "three";
 
 const TURN = Math.PI / 2;
 
 /**
- * A capsule of radius 1, which the scale of a matrix makes longer while the ends remain round: z of
- * a vertex is that on the sphere of its end, and `end` is the end.
+ * Returns a capsule of radius 1. The scale of a matrix makes it longer, but the ends remain round: z
+ * of a vertex is relative to the center of its end sphere, and the attribute `end` is the sign of z.
  */
 export function tube() {
   const shape = new THREE.CapsuleGeometry(1, 2, 6, 16).rotateX(TURN);
@@ -47,7 +47,7 @@ export class Tubes {
   /**
    * Updates a tube.
    * @param {number} k @param {THREE.Vector3} from @param {THREE.Vector3} to
-   * @param {number} radius m; 0 hides it
+   * @param {number} radius m; 0 hides the tube
    */
   place(k, from, to, radius) {
     const way = to.clone().sub(from), half = Math.max(way.length() / 2, 1e-6);

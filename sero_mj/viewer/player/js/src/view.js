@@ -1,6 +1,6 @@
-/** The image of a page, the text over it, and the drawing of frames. */
+/** Draws the image of a page and the text over it. */
 
-import { Cards } from "./cards.js";
+import { Billboards } from "./billboards.js";
 import { Labels } from "./labels.js";
 import { boxesOf, byId, made } from "./page.js";
 import { Stage, rendererOf } from "./stage.js";
@@ -9,18 +9,18 @@ import { Stage, rendererOf } from "./stage.js";
 /** @typedef {"light" | "dark"} Look */
 
 /**
- * The actions of a page.
- * @typedef {{frame: (passed: number) => void, card: (key: string, event: MouseEvent) => void,
+ * The functions that a view calls.
+ * @typedef {{frame: (passed: number) => void, clickText: (key: string, event: MouseEvent) => void,
  *   turn: (isUser: boolean) => void, look: (look: Look) => void, resize: () => void}} Acts
- *   frame: draws; `passed` is the time since the last frame, ms, or 0 after a pause;
- *   turn: the camera has moved
+ *   frame: draws a frame; `passed` is the time since the last frame in ms, or 0 after a pause;
+ *   turn: called when the camera has moved
  */
 
 /**
- * The state to draw: a time of a run, and the visible features.
+ * The state to draw, with a frame of a run and the visible features.
  * @typedef {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
  *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
- *   cards: () => import("./cards.js").Content[], labels: import("./labels.js").Label[],
+ *   billboards: () => import("./billboards.js").Content[], labels: import("./labels.js").Label[],
  *   sites?: {positions: Float32Array, turns: Float32Array} | null}} Moment
  */
 
@@ -30,7 +30,7 @@ export class View {
   constructor(acts) {
     this.acts = acts;
     this.renderer = rendererOf(byId("picture"));
-    this.cards = new Cards(byId("cards"), byId("leaders"), acts.card);
+    this.billboards = new Billboards(byId("cards"), byId("leaders"), acts.clickText);
     this.labels = new Labels(byId("stage"));
     /** @type {Stage | null} */
     this.current = null;
@@ -81,10 +81,10 @@ export class View {
     }, { passive: false });
     canvas.addEventListener("webglcontextlost", (event) => {
       event.preventDefault();
-      tell("graphics", "The browser has suspended WebGL. The image returns when it is available again.");
+      showProblem("graphics", "The browser has suspended WebGL. The image returns when it is available again.");
     });
     canvas.addEventListener("webglcontextrestored", () => {
-      tell("graphics", "");
+      showProblem("graphics", "");
       this.wake();
     });
   }
@@ -103,12 +103,12 @@ export class View {
     const { clientWidth, clientHeight } = byId("stage");
     if (!clientWidth || !clientHeight) return;
     this.current?.resize(clientWidth, clientHeight);
-    this.cards.forgetSizes();
+    this.billboards.forgetSizes();
     this.acts.resize();
     this.wake();
   }
 
-  /** Calls `frame` soon, once. @param {boolean} isDirty whether the image has changed */
+  /** Makes the browser call `frame` once before it draws again. @param {boolean} isDirty whether the image has changed */
   wake(isDirty = true) {
     this.isDirty ||= isDirty;
     if (this.isAwake) return;
@@ -122,7 +122,7 @@ export class View {
   }
 
   /** @param {Moment} moment */
-  draw({ at, hasDoubles, hasArrow, geoms, cards, labels, sites }) {
+  draw({ at, hasDoubles, hasArrow, geoms, billboards, labels, sites }) {
     const { stage } = this;
     this.isDirty = false;
     stage.place(at, hasDoubles, hasArrow, geoms, sites);
@@ -135,19 +135,19 @@ export class View {
     const endOf = (left, right) => Math.min(stage.size.height - foot - 8, ...boxes
       .filter((box) => box.left - room.left < right && box.right - room.left > left)
       .map((box) => box.top - room.top - 8));
-    this.cards.layOut(stage, cards(), top, endOf);
+    this.billboards.layOut(stage, billboards(), top, endOf);
     this.labels.layOut(stage, labels);
     /** @type {HTMLSelectElement} */ (byId("camera")).value = String(stage.fixed);
   }
 }
 
-/** Current problems by topic. @type {Map<string, string>} */
-const troubles = new Map();
+/** Displayed problems by topic. @type {Map<string, string>} */
+const problems = new Map();
 
-/** Shows a problem over the image. @param {string} what topic @param {string} text empty to remove it */
-export function tell(what, text) {
-  if (text) troubles.set(what, text);
-  else troubles.delete(what);
-  byId("problem").textContent = [...troubles.values()].join("\n");
-  byId("problem").hidden = !troubles.size;
+/** Shows a problem over the image. @param {string} what topic @param {string} text an empty string removes the problem */
+export function showProblem(what, text) {
+  if (text) problems.set(what, text);
+  else problems.delete(what);
+  byId("problem").textContent = [...problems.values()].join("\n");
+  byId("problem").hidden = !problems.size;
 }

@@ -1,11 +1,11 @@
-/** The kinds of widgets, as elements that are created once and then updated. */
+/** The kinds of widgets. Their elements are created once and then updated. */
 
 import { Graph } from "./graph.js";
 import { made, mark, write } from "./page.js";
 import { Ticks } from "./ticks.js";
 
 /**
- * A widget as sent by the server; each kind uses some of the keys.
+ * A widget as sent by the server. Each kind has some of the keys.
  * @typedef {{k: string, id?: string, s?: string, aria?: string, tip?: string, off?: boolean,
  *   width?: number, same?: number | boolean, left?: number, mood?: string, open?: boolean,
  *   nodes?: Node[], widths?: number[], rows?: Node[][][], lit?: boolean, text?: string, hint?: string,
@@ -15,14 +15,14 @@ import { Ticks } from "./ticks.js";
  */
 /** @typedef {[at: number, kind: string, text: string, end?: number, label?: string]} Tick */
 /** @typedef {{element: HTMLElement, sized?: HTMLElement, update: (node: Node) => void,
- *   graph?: Graph, dispose?: () => void}} Widget sized: element that gets the width; default: all of it */
+ *   graph?: Graph, dispose?: () => void}} Widget sized: element whose width is set (default: `element`) */
 /** @typedef {import("./panels.js").Context} Context */
 
-const ECHO = 1000; // ms; the server confirms a change within this time
+const ECHO = 1000; // maximum time until the server confirms a change, ms
 
 /**
- * A value that users change. The user's value is shown until the server confirms it, and nothing
- * overwrites the value during the input.
+ * A value that the user can change. The user's value is shown until the server confirms it, and it is
+ * not overwritten while the user changes it.
  * @template T
  */
 export class Held {
@@ -49,23 +49,23 @@ export class Held {
 }
 
 const STEPS = 100; // minimum number of keyboard steps of a slider
-const DRAGGED = 0.1; // step of a drag, relative to a keyboard step
+const DRAGGED = 0.1; // step of a drag relative to a keyboard step
 /** @type {Record<string, number>} */
 const PLACES = { ArrowRight: 1, ArrowUp: 1, ArrowLeft: -1, ArrowDown: -1, PageUp: 10, PageDown: -10 };
 
-/** The step of a slider's keys: 1, 2 or 5 times a power of ten. @param {number} low @param {number} high */
+/** Returns the step of a slider's keys, which is 1, 2 or 5 times a power of ten. @param {number} low @param {number} high */
 export function stepOf(low, high) {
-  const most = (high - low) / STEPS || 1, power = 10 ** Math.floor(Math.log10(most) + 1e-9);
-  return power * ([5, 2].find((each) => each * power <= most * (1 + 1e-9)) ?? 1);
+  const largest = (high - low) / STEPS || 1, power = 10 ** Math.floor(Math.log10(largest) + 1e-9);
+  return power * ([5, 2].find((each) => each * power <= largest * (1 + 1e-9)) ?? 1);
 }
 
-/** The multiple of a step that is nearest to a value. @param {number} value @param {number} step */
+/** Returns the multiple of a step that is nearest to a value. @param {number} value @param {number} step */
 export function rounded(value, step) {
   const digits = Math.max(-Math.floor(Math.log10(step) + 1e-9), 0);
   return Number((Math.round(value / step) * step).toFixed(digits));
 }
 
-/** Sets label, tooltip and whether a control is disabled. @param {HTMLElement} control @param {Node} node */
+/** Sets the label and the tooltip of a control, and whether it is disabled. @param {HTMLElement} control @param {Node} node */
 function common(control, { s, aria, hint, tip, off }) {
   const words = s ? "" : aria ?? hint ?? "";
   if (words) mark(control, "aria-label", words);
@@ -78,17 +78,17 @@ function explain(element, tip) {
   if (element.title !== (tip ?? "")) element.title = tip ?? "";
 }
 
-/** A control with a label beside it. @param {HTMLElement} control @param {string} kind */
+/** Creates an element with a control and a label beside it. @param {HTMLElement} control @param {string} kind */
 function labelled(control, kind) {
   const element = made("label", "", { class: kind }), words = made("span", "");
   element.append(control, words);
   /** @param {Node} node */
-  const say = (node) => {
+  const describe = (node) => {
     words.hidden = !node.s;
     write(words, node.s ?? "");
     common(control, node);
   };
-  return { element, say };
+  return { element, describe };
 }
 
 /** Returns a function that creates a text. @param {keyof HTMLElementTagNameMap} tag @param {string} kind @returns {() => Widget} */
@@ -102,7 +102,7 @@ const words = (tag, kind) => () => {
   } };
 };
 
-/** A section or node of a tree that can be folded. @param {string} kind @returns {(node: Node, context: Context) => Widget} */
+/** Returns a function that creates a collapsible section or tree node. @param {string} kind @returns {(node: Node, context: Context) => Widget} */
 const folding = (kind) => ({ id }, { send, list }) => {
   const element = made("details", "", { class: kind }), summary = made("summary", "");
   const room = made("div", "", { class: "folded" }), inside = list(room);
@@ -187,7 +187,7 @@ const search = ({ id }, { send }) => {
 
 /** @type {(node: Node, context: Context) => Widget} */
 const check = ({ id }, { send }) => {
-  const box = made("input", "", { type: "checkbox" }), { element, say } = labelled(box, "check");
+  const box = made("input", "", { type: "checkbox" }), { element, describe } = labelled(box, "check");
   /** @type {Held<boolean>} */
   const held = new Held();
   box.addEventListener("change", () => {
@@ -197,14 +197,14 @@ const check = ({ id }, { send }) => {
   return { element, update: (node) => {
     const isOn = held.shown(Boolean(node.on));
     if (box.checked !== isOn) box.checked = isOn;
-    say(node);
+    describe(node);
     explain(element, node.tip);
   } };
 };
 
 /** @type {(node: Node, context: Context) => Widget} */
 const choose = ({ id }, { send }) => {
-  const box = made("select", ""), { element, say } = labelled(box, "choose");
+  const box = made("select", ""), { element, describe } = labelled(box, "choose");
   /** @type {Held<number>} */
   const held = new Held();
   let listed = "";
@@ -218,19 +218,19 @@ const choose = ({ id }, { send }) => {
     const index = held.shown(node.index ?? -1);
     if (box.selectedIndex !== index || list !== listed) box.selectedIndex = index;
     listed = list;
-    say(node);
+    describe(node);
   } };
 };
 
 /** @type {(node: Node, context: Context) => Widget} */
 const slide = ({ id }, { send }) => {
-  const box = made("input", "", { type: "range", step: "any" }), said = made("output", "");
+  const box = made("input", "", { type: "range", step: "any" }), output = made("output", "");
   const track = made("span", "", { class: "track" }), over = made("span", "", { class: "ticks" });
   const rail = made("span", "", { class: "rail" }); // the slider without its text
-  const { element, say } = labelled(box, "slide");
+  const { element, describe } = labelled(box, "slide");
   element.prepend(track);
   rail.append(box, over);
-  track.append(rail, said);
+  track.append(rail, output);
   /** @type {Held<number>} */
   const held = new Held();
   /** @param {number} value */
@@ -241,26 +241,26 @@ const slide = ({ id }, { send }) => {
   const ticks = new Ticks(over, set);
   box.addEventListener("pointerdown", () => {
     held.isHeld = true;
-    said.style.width = `${said.offsetWidth}px`; // a longer text would move the knob
+    output.style.width = `${output.offsetWidth}px`; // A longer text would move the knob.
     held.set(box.valueAsNumber);
   });
   for (const end of ["pointerup", "pointercancel", "blur"]) {
     box.addEventListener(end, () => {
       held.isHeld = false;
-      said.style.width = "";
+      output.style.width = "";
     });
   }
   box.addEventListener("input", () => {
     const { valueAsNumber: value } = box, [low, high] = [Number(box.min), Number(box.max)];
     const round = rounded(value, DRAGGED * stepOf(low, high));
-    set(value === low || value === high ? value : Math.min(Math.max(round, low), high)); // the ends may have more digits
+    set(value === low || value === high ? value : Math.min(Math.max(round, low), high)); // The ends may have more digits.
   });
   box.addEventListener("keydown", (event) => {
     const places = PLACES[event.key], { ctrlKey, altKey, metaKey } = event;
     if (!places || ctrlKey || altKey || metaKey) return;
     event.preventDefault();
     const step = stepOf(Number(box.min), Number(box.max));
-    box.value = String(rounded(box.valueAsNumber + places * step, step)); // limited by the range
+    box.value = String(rounded(box.valueAsNumber + places * step, step)); // The browser limits the value to the range.
     set(box.valueAsNumber);
   });
   return { element, sized: track, update: (node) => {
@@ -269,19 +269,19 @@ const slide = ({ id }, { send }) => {
     mark(box, "max", String(high));
     if (box.valueAsNumber !== value) box.value = String(value);
     box.style.setProperty("--done", `${100 * Math.min(Math.max((value - low) / (high - low || 1), 0), 1)}%`);
-    write(said, text);
+    write(output, text);
     ticks.update((node.ticks ?? []).map(([begin, kind, words, end = begin, label = ""]) => ({ begin, end, text: words, kind, label })), low, high);
-    ticks.tell(value);
+    ticks.showAt(value);
     const number = text || String(Number(value.toPrecision(4)));
-    mark(box, "aria-valuetext", [number, ticks.told].filter(Boolean).join(", "));
-    say(node);
+    mark(box, "aria-valuetext", [number, ticks.text].filter(Boolean).join(", "));
+    describe(node);
   } };
 };
 
 /** @type {(node: Node, context: Context) => Widget} */
 const number = ({ id }, { send }) => {
   const box = made("input", "", { type: "text", inputmode: "decimal", autocomplete: "off", spellcheck: "false" });
-  const { element, say } = labelled(box, "number");
+  const { element, describe } = labelled(box, "number");
   let [text, value, isTyped] = ["", 0, false];
   box.addEventListener("focus", () => {
     box.value = plain(text, value);
@@ -309,11 +309,11 @@ const number = ({ id }, { send }) => {
       box.value = plain(text, value);
       box.select();
     }
-    say(node);
+    describe(node);
   } };
 };
 
-/** The number in a text, with its decimals. @param {string} text @param {number} value */
+/** Returns the number in a text, with its decimals. @param {string} text @param {number} value */
 function plain(text, value) {
   return /-?\d+(\.\d+)?(e[-+]?\d+)?/i.exec(text)?.[0] ?? String(value);
 }

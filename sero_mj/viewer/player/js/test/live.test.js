@@ -13,7 +13,7 @@ import { keysOf, linesOf } from "../src/panels.js";
 import { Reader, fill, readSections } from "../src/sections.js";
 import { State } from "../src/state.js";
 import { shortName } from "../src/torque_plot.js";
-import { gapFor, toldAt } from "../src/ticks.js";
+import { gapFor, ticksAt } from "../src/ticks.js";
 import { Held, rounded, stepOf } from "../src/widgets.js";
 
 /** @param {ArrayBufferView} array */
@@ -22,13 +22,13 @@ const bytesOf = (array) => new Uint8Array(array.buffer, array.byteOffset, array.
 /** @param {Uint8Array[]} parts */
 const joined = (...parts) => Uint8Array.from(parts.flatMap((part) => [...part]));
 
-/** A message with a head that need not fit. @param {string} head @param {Uint8Array} [payload] */
+/** Returns a message with a head, which may be invalid. @param {string} head @param {Uint8Array} [payload] */
 function message(head, payload = new Uint8Array()) {
   const text = new TextEncoder().encode(head.padEnd(Math.ceil(head.length / 4) * 4));
   return joined(bytesOf(new Uint32Array([text.length])), text, payload).buffer;
 }
 
-/** The bytes of a run of one frame, with a body and a joint. */
+/** Returns the bytes of a run with one frame, one body and one joint. */
 function run() {
   const empty = [0, "u1", 0];
   const head = {
@@ -43,14 +43,14 @@ function run() {
   return joined(bytesOf(new Uint32Array([text.length])), text, new Uint8Array([2, 4, 6, 2, 0, 0, 0, 0]));
 }
 
-test("sections are read, payloads from multiples of four on", () => {
+test("sections are read, with payloads aligned to four bytes", () => {
   const head = '{"json": {"time": 1.5, "hover": null}, "bytes": [["stale", 3], ["grey", 1]]}';
   const { json, bytes } = readSections(message(head, new Uint8Array([1, 2, 3, 0, 9])));
   assert.deepEqual([...json], [["time", 1.5], ["hover", null]]);
   assert.deepEqual([...bytes].map(([name, each]) => [name, ...each]), [["stale", 1, 2, 3], ["grey", 9]]);
 });
 
-test("messages whose lengths do not fit are refused", () => {
+test("messages with wrong lengths are rejected", () => {
   for (const bytes of ["[[\"a\", 5]]", "[[\"a\", -1]]", "[[\"a\", 1e300]]", "[[\"a\", 0.5]]", "[[\"a\"]]", "[7]", "[null]",
     "[[\"a\", 4], [\"b\", 1]]", "{}", `[${Array(300).fill('["a", 0]').join()}]`]) {
     assert.throws(() => readSections(message(`{"bytes": ${bytes}}`, new Uint8Array(4))), Error, bytes);
@@ -62,13 +62,13 @@ test("messages whose lengths do not fit are refused", () => {
   assert.throws(() => fill(new Uint8Array(7), new Float32Array(2)), /7 bytes, expected 8/);
 });
 
-test("counts are believed only as far as bytes follow", () => {
+test("counts above the number of following bytes are rejected", () => {
   assert.equal(new Reader(bytesOf(new Uint32Array([2, 1, 1]))).count(4), 2);
   assert.throws(() => new Reader(bytesOf(new Uint32Array([2 ** 31, 1, 1]))).count(60), /found 2147483648/);
   assert.throws(() => new Reader(new Uint8Array(2)).count(4), /expected 4/);
 });
 
-test("a state writes what comes into its run", () => {
+test("a state writes received sections to its run", () => {
   const state = new State(run()), { run: shown } = state;
   assert.deepEqual([...shown.positions], [1, 2, 3]);
   const poses = joined(bytesOf(new Float32Array([4, 5, 6])), bytesOf(new Int16Array([0, 16384, 0, -8192])));
@@ -78,7 +78,7 @@ test("a state writes what comes into its run", () => {
   assert.deepEqual([...positions], [4, 5, 6]);
   assert.deepEqual([...shown.rotations], [0, 1, 0, -0.5]);
   state.takeJson("valueKeys", ["joint_angles"]);
-  // Numbers of eight bytes may begin at any multiple of four.
+  // Numbers with eight bytes may begin at any multiple of four.
   const values = joined(new Uint8Array(4), bytesOf(new Float64Array([0.25]))).subarray(4);
   assert.ok(state.take("values", values) && state.take("arrowValues", values));
   assert.equal(shown.values.joint_angles[0], 0.25);
@@ -92,7 +92,7 @@ test("a state writes what comes into its run", () => {
   assert.throws(() => state.take("items", bytesOf(new Uint32Array([9]))), /found 9/);
 });
 
-test("views of cameras stand where they look from", () => {
+test("camera parameters and positions are converted in both directions", () => {
   const view = { lookAt: [1, -2, 0.5], distance: 3, azimuth: 130, elevation: -25 };
   const found = viewFrom(placeOf(view), view.lookAt);
   for (const key of /** @type {const} */ (["distance", "azimuth", "elevation"])) assert.ok(Math.abs(found[key] - view[key]) < 1e-9);
@@ -101,7 +101,7 @@ test("views of cameras stand where they look from", () => {
   assert.equal(standingBack(1, 400, 800), 2);
 });
 
-test("keys have the server's names, and those of the browser have none", () => {
+test("keys have the names of the server, and keys of the browser have no name", () => {
   const press = (/** @type {string} */ key, more = {}) =>
     nameOf({ key, ctrlKey: false, metaKey: false, altKey: false, shiftKey: false, ...more });
   assert.deepEqual(["ArrowLeft", "A", "?", " ", "F2", "Backspace", "+"].map((key) => press(key)),
@@ -110,11 +110,11 @@ test("keys have the server's names, and those of the browser have none", () => {
   assert.deepEqual(["z", "y", "r", "t", "f", "+"].map((key) => press(key, { ctrlKey: true })),
     ["ctrl+z", "ctrl+y", "", "", "", ""]);
   assert.equal(press("Z", { metaKey: true, shiftKey: true }), "ctrl+y");
-  assert.equal(press("[", { ctrlKey: true, altKey: true }), "["); // AltGr of keyboards that have it there
+  assert.equal(press("[", { ctrlKey: true, altKey: true }), "["); // Some keyboards need AltGr for brackets.
   assert.equal(press("ArrowLeft", { altKey: true }), "");
 });
 
-test("fields keep their keys, buttons and sliders those that they need", () => {
+test("text fields handle all keys, and buttons and sliders some keys", () => {
   assert.ok(isTakenBy({ tagName: "INPUT", type: "text" }, "a") && isTakenBy({ tagName: "TEXTAREA" }, "z"));
   assert.ok(isTakenBy({ tagName: "SELECT" }, "a") && isTakenBy({ tagName: "BUTTON" }, " "));
   assert.ok(isTakenBy({ tagName: "INPUT", type: "range" }, "ArrowLeft"));
@@ -122,14 +122,14 @@ test("fields keep their keys, buttons and sliders those that they need", () => {
   assert.ok(!isTakenBy({ tagName: "INPUT", type: "checkbox" }, "ArrowLeft") && !isTakenBy({ tagName: "CANVAS" }, " "));
 });
 
-test("nodes are known by their ids, mere text by its number, and lines by what is beside", () => {
+test("nodes are identified by their ids, text by its number, and lines by adjacent nodes", () => {
   const nodes = [{ k: "text", s: "a" }, { k: "button", id: "b" }, { k: "text", s: "c", same: -1 }, { k: "check", id: "b" }];
   assert.deepEqual(keysOf(nodes), ["text#1", "button:b", "text#2", "check:b"]);
   assert.deepEqual(linesOf(nodes), [[0], [1, 2], [3]]);
   assert.deepEqual(linesOf([{ k: "text", same: 0 }]), [[0]]);
 });
 
-test("what a user has set stands until the server says it, or for a while", (context) => {
+test("a value set by the user is shown until the server confirms it, or for a limited time", (context) => {
   let now = 0;
   context.mock.method(performance, "now", () => now);
   const held = new Held();
@@ -149,28 +149,28 @@ test("what a user has set stands until the server says it, or for a while", (con
   assert.equal(held.shown(1), 1);
 });
 
-test("lines of a plot share their places where they have the same", () => {
+test("lines of a plot with the same x coordinates share them", () => {
   const line = { name: "", rgb: [0, 0, 0] };
   const [a, b] = [{ ...line, x: [0, 1, 2], y: [1, null, 3] }, { ...line, x: [0, 1, 2], y: [4, 5, 6] }];
   assert.deepEqual(dataOf([a, b]), [[0, 1, 2], [1, null, 3], [4, 5, 6]]);
   const data = dataOf([a, { ...line, x: [0.5, 2], y: [7, 8] }]);
   assert.deepEqual(data[0], [0, 0.5, 1, 2]);
-  assert.equal(data[1][2], null); // a gap stays one
+  assert.equal(data[1][2], null); // A gap remains a gap.
 });
 
-test("how far a pixel is from a line is seen beside it and beyond its ends", () => {
+test("the distance of a pixel from a segment is right beside it and beyond its ends", () => {
   const [a, b] = [{ x: 0, y: 0 }, { x: 10, y: 0 }];
   assert.equal(distanceTo({ x: 5, y: 3 }, a, b), 3);
   assert.equal(distanceTo({ x: 13, y: 4 }, a, b), 5);
   assert.equal(distanceTo({ x: 3, y: 4 }, a, a), 5);
 });
 
-test("decor of any number is drawn, opaque and transparent, and can be picked", () => {
+test("any number of opaque and transparent overlays is drawn, and can be picked", () => {
   const geoms = new Geoms(), items = new Items();
   const put = (/** @type {number} */ count) => {
     geoms.resize(count);
     for (let k = 0; k < count; k++) {
-      geoms.of.set([8, k, 2], 3 * k); // balls
+      geoms.of.set([8, k, 2], 3 * k); // spheres
       geoms.positions.set([k, 0, 0], 3 * k);
       geoms.rotations.set([1, 0, 0, 0], 4 * k);
       geoms.sizes.set([0.1, 0.1, 0.1], 3 * k);
@@ -187,12 +187,12 @@ test("decor of any number is drawn, opaque and transparent, and can be picked", 
   assert.equal(items.pick(ray), null);
 });
 
-test("a step of a wheel counts once on every screen, however the page is zoomed", () => {
+test("a wheel notch counts once on every screen and at every zoom of the page", () => {
   for (const ratio of [0.5, 1, 2]) assert.equal(stepsOf({ deltaMode: 0, deltaY: 100 / ratio }, ratio), -1);
   assert.equal(stepsOf({ deltaMode: 1, deltaY: -3 }, 2), 1);
 });
 
-test("labels at one place stand below each other, as far as there is room, and others where they belong", () => {
+test("labels at the same position are placed below each other if there is space", () => {
   /** @type {[number, number, number][]} */
   const taken = [];
   const at = (/** @type {number} */ x, /** @type {number} */ y) => clearOf(x, y, "lwr/A1", taken);
@@ -210,22 +210,22 @@ test("a slider steps by 1, 2 or 5 times a power of ten, to round values", () => 
   assert.deepEqual([rounded(0.99999, 0.001), rounded(-31.3, 2), rounded(1234.5, 20)], [1, -32, 1240]);
 });
 
-test("what is near the time is told, the nearest, with what was at the same time", () => {
+test("the text of the nearest marks is shown near their time", () => {
   const tick = (/** @type {number} */ begin, /** @type {string} */ text, end = begin, label = "") =>
     ({ begin, end, text, kind: "finding", label });
   const ticks = [tick(1, "a"), tick(1.02, "b"), tick(1.02, "c"), tick(4, "d", 9), tick(4.5, "e", 9, "e")];
-  const told = (/** @type {number} */ at) => toldAt(ticks, at, 10).map(({ text }) => text).join("");
+  const shown = (/** @type {number} */ at) => ticksAt(ticks, at, 10).map(({ text }) => text).join("");
   const times = [0.8, 0.95, 1.009, 1.5, 1.6, 4, 4.6, 7];
-  assert.deepEqual(times.map(told), ["", "a", "a", "bc", "", "d", "e", "d"]);
+  assert.deepEqual(times.map(shown), ["", "a", "a", "bc", "", "d", "e", "d"]);
 });
 
-test("a label stands where no tick is on it, or where most of it is seen", () => {
+test("a label is placed in a gap between marks, or in the longest gap", () => {
   assert.deepEqual(gapFor(30, [0, 10, 50, 100]), [10, 37]);
   assert.deepEqual(gapFor(30, [0, 100]), [0, 97]);
   assert.deepEqual(gapFor(60, [0, 10, 50, 100]), [50, 47]);
 });
 
-test("names of files are short, and tell them apart", () => {
+test("short names of different files differ", () => {
   assert.equal(shortName({ A: "out/a.mcap", B: "out/b.mcap" }, "A"), "a.mcap");
   assert.equal(shortName({ A: "out/first/run.mcap", B: "out/second/run.mcap" }, "B"), "second/run.mcap");
   assert.equal(shortName({ A: "run.mcap", B: "run.mcap" }, "B"), "run.mcap");

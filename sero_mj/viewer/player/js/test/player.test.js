@@ -11,11 +11,11 @@ const ARROW = {
   on: true, round: true, radius: 0.1, opacity: 1, scale: 0.01, band: 0.01, limit: 100, widest: 1.5,
 };
 
-test("folded numbers are unfolded", () => {
+test("signs in the lowest bit are decoded", () => {
   assert.deepEqual([0, 1, 2, 3, 4].map(unfold), [0, -1, 1, -2, 2]);
 });
 
-test("numbers of an axis have the digits of its steps", () => {
+test("numbers of an axis have as many digits as its steps", () => {
   assert.deepEqual([1e-7, 1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [7, 4, 2, 1, 0, 0, 1]);
 });
 
@@ -26,7 +26,7 @@ test("normals of all octants have unit length", () => {
   assert.deepEqual(normalOf(127, 127).map(Math.round), [0, 0, -1]);
 });
 
-test("numbers are written as Python does", () => {
+test("numbers are formatted as in Python", () => {
   assert.equal(textOf(LINE, -69.12), "-69.1 Nm");
   assert.equal(textOf(LINE, -0.04), "0.0 Nm");
   assert.equal(textOf({ ...LINE, scale: 1e6, unit: "uNm" }, -5e-6), "-5.0 uNm");
@@ -36,7 +36,7 @@ test("numbers are written as Python does", () => {
   assert.equal(textOf({ ...LINE, key: "torque_limit" }, Infinity), "none");
 });
 
-test("arrows grow with the root of the share, from the dead band to the widest", () => {
+test("arrow widths grow with the square root of the value, between dead band and maximum", () => {
   assert.equal(widthOf(ARROW, 1, 0.03), 0);
   assert.ok(Math.abs(widthOf(ARROW, 100, 0.03) - 0.1) < 1e-12);
   assert.ok(Math.abs(widthOf(ARROW, -25, 0.03) - 0.05) < 1e-12);
@@ -44,7 +44,7 @@ test("arrows grow with the root of the share, from the dead band to the widest",
   assert.equal(widthOf(ARROW, NaN, 0.03), 0);
 });
 
-test("boxes do not overlap, stay in their column, and stand where they want if they can", () => {
+test("boxes do not overlap, stay in their column, and have their preferred positions if possible", () => {
   assert.deepEqual(stacked([50, 200], [20, 20], 6, 0, 300), [50, 200]);
   assert.deepEqual(stacked([100, 100], [20, 20], 6, 0, 300), [87, 113]);
   const middles = stacked([280, 290, 295], [20, 60, 20], 6, 0, 300);
@@ -64,9 +64,9 @@ test("a clock loops, steps, and ends", () => {
   assert.deepEqual([clock.time, clock.isPlaying], [1, false]);
 });
 
-test("a head and its arrays are read, with channels one after the other", () => {
+test("a head and its arrays are decoded, with one channel after the other", () => {
   const arrays = [
-    [2, 0, 0, 1], // two channels of two frames: 1, 1 and 0, -1
+    [2, 0, 0, 1], // two channels with two frames: 1, 1 and 0, -1
     new Uint8Array(new Float64Array([1.5, -2.5]).buffer),
   ];
   const planes = [];

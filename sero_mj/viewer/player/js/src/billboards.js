@@ -1,4 +1,4 @@
-/** Billboards: text beside the robots, with leaders to the items, laid out in every frame. */
+/** Billboards: text beside the robots, with leader lines to the items. They are laid out in every frame. */
 
 import * as THREE from "three";
 import { stacked } from "./layout.js";
@@ -8,17 +8,17 @@ import { made, write } from "./page.js";
 /** @typedef {{key: string, title: string, lines: [label: string, value: string][],
  *   sign: "" | "positive" | "negative", isStale: boolean, at: THREE.Vector3, load: number,
  *   isChosen: boolean}} Content
- *   at: end of the leader, m; load: priority if there is little space */
+ *   at: end of the leader line, m; load: priority if there is not enough space for all billboards */
 /** @typedef {{content: Content, box: HTMLButtonElement, title: HTMLElement, lines: HTMLElement[][],
  *   path: SVGPathElement, dot: SVGCircleElement, side: number, at: {x: number, y: number},
- *   width: number, height: number, longest: number}} Card */
+ *   width: number, height: number, longest: number}} Billboard */
 
 const SVG = "http://www.w3.org/2000/svg";
-const GAP = 6; // pixels between billboards
-const HYSTERESIS = 12; // pixels; joints nearer to the center do not change sides
+const GAP = 6; // distance between billboards, pixels
+const HYSTERESIS = 12; // distance from the center below which a joint's billboard does not change sides, pixels
 
-/** All billboards. */
-export class Cards {
+/** Creates and lays out all billboards. */
+export class Billboards {
   /**
    * @param {HTMLElement} room @param {SVGElement} leaders
    * @param {(key: string, event: MouseEvent) => void} onClick
@@ -27,12 +27,12 @@ export class Cards {
     this.room = room;
     this.leaders = leaders;
     this.onClick = onClick;
-    /** @type {Map<string, Card>} */
-    this.cards = new Map();
+    /** @type {Map<string, Billboard>} */
+    this.billboards = new Map();
     this.place = new THREE.Vector3();
   }
 
-  /** @param {Content} content @returns {Card} */
+  /** @param {Content} content @returns {Billboard} */
   #make(content) {
     const box = made("button", "", { type: "button" }), title = made("i", "");
     box.append(title);
@@ -49,28 +49,28 @@ export class Cards {
   /** Creates, updates and removes billboards. @param {Content[]} contents */
   #write(contents) {
     const wanted = new Set(contents.map(({ key }) => key));
-    for (const [key, card] of this.cards) {
+    for (const [key, billboard] of this.billboards) {
       if (wanted.has(key)) continue;
-      for (const each of [card.box, card.path, card.dot]) each.remove();
-      this.cards.delete(key);
+      for (const each of [billboard.box, billboard.path, billboard.dot]) each.remove();
+      this.billboards.delete(key);
     }
     for (const content of contents) {
-      let card = this.cards.get(content.key);
-      if (!card) this.cards.set(content.key, card = this.#make(content));
-      card.content = content;
-      this.#fill(card);
+      let billboard = this.billboards.get(content.key);
+      if (!billboard) this.billboards.set(content.key, billboard = this.#make(content));
+      billboard.content = content;
+      this.#fill(billboard);
     }
   }
 
-  /** @param {Card} card */
-  #fill(card) {
-    const { box, title, lines, content } = card;
+  /** @param {Billboard} billboard */
+  #fill(billboard) {
+    const { box, title, lines, content } = billboard;
     const look = `card ${content.lines.length > 1 ? "many" : ""} ${content.isStale ? "stale" : content.sign}`
       + (content.isChosen ? " chosen" : "");
     if (box.className !== look) box.className = look;
-    // A billboard with other lines or another title is measured again, even if it has become smaller.
+    // A billboard with another number of lines, or with or without a title, may have become smaller.
     const isOther = lines.length !== content.lines.length || title.hidden === Boolean(content.title);
-    if (isOther) card.longest = card.width = 0;
+    if (isOther) billboard.longest = billboard.width = 0;
     while (lines.length > content.lines.length) lines.pop()?.[0].remove();
     while (lines.length < content.lines.length) {
       const line = [made("span", ""), made("i", ""), made("b", "")];
@@ -87,12 +87,12 @@ export class Cards {
       write(lines[k][2], value);
       longest = Math.max(longest, label.length + value.length);
     });
-    if (longest > card.longest) [card.longest, card.width] = [longest, 0];
+    if (longest > billboard.longest) [billboard.longest, billboard.width] = [longest, 0];
   }
 
   /**
    * Places billboards in columns beside the robots.
-   * @param {Stage} stage @param {Content[]} contents @param {number} top free pixels
+   * @param {Stage} stage @param {Content[]} contents @param {number} top upper end of the columns, pixels
    * @param {(left: number, right: number) => number} endOf
    *   returns the lower end of a column between two x coordinates, pixels
    */
@@ -108,78 +108,78 @@ export class Cards {
       last = Math.max(last, pixel.x);
     }
     const middle = (first + last) / 2;
-    for (const card of this.cards.values()) {
-      const pixel = stage.pixel(card.content.at);
+    for (const billboard of this.billboards.values()) {
+      const pixel = stage.pixel(billboard.content.at);
       const isShown = pixel.isSeen && pixel.x > 0 && pixel.x < width && pixel.y > 0 && pixel.y < height;
-      show(card, isShown);
+      show(billboard, isShown);
       if (!isShown) continue;
-      card.at = pixel;
-      if (!card.width) card.box.style.width = "";
-      if (!card.width) [card.width, card.height] = [card.box.offsetWidth, card.box.offsetHeight];
-      shown.push(card);
+      billboard.at = pixel;
+      if (!billboard.width) billboard.box.style.width = "";
+      if (!billboard.width) [billboard.width, billboard.height] = [billboard.box.offsetWidth, billboard.box.offsetHeight];
+      shown.push(billboard);
     }
     if (!shown.length) return;
-    const widest = Math.max(...shown.map((card) => card.width));
-    const tall = Math.min(...shown.map((card) => card.height));
+    const widest = Math.max(...shown.map((billboard) => billboard.width));
+    const tall = Math.min(...shown.map((billboard) => billboard.height));
     const margin = Math.min(90, width * 0.07);
     const left = Math.max(first - margin - widest, 8);
     const columns = [left, Math.min(last + margin, width - widest - 8)];
     const ends = columns.map((x) => endOf(x, x + widest));
     const room = Math.max(Math.floor((Math.min(...ends) - top + GAP) / (tall + GAP)), 1);
-    const kept = mostLoaded(shown, 2 * room);
-    this.#chooseSides(kept, middle, room);
+    const placed = mostLoaded(shown, 2 * room);
+    this.#chooseSides(placed, middle, room);
     for (const side of [0, 1]) {
-      const column = kept.filter((card) => card.side === side).sort((a, b) => a.at.y - b.at.y);
+      const column = placed.filter((billboard) => billboard.side === side).sort((a, b) => a.at.y - b.at.y);
       const x = columns[side];
-      const ys = stacked(column.map((card) => card.at.y), column.map((card) => card.height), GAP,
+      const ys = stacked(column.map((billboard) => billboard.at.y), column.map((billboard) => billboard.height), GAP,
         top, ends[side]);
-      column.forEach((card, k) => {
+      column.forEach((billboard, k) => {
         const y = ys[k], edge = side ? x : x + widest;
-        card.box.style.width = `${widest}px`;
-        card.box.style.transform = `translate(${x.toFixed(1)}px,${(y - card.height / 2).toFixed(1)}px)`;
-        const { x: toX, y: toY } = card.at;
-        card.path.setAttribute("d", `M${edge.toFixed(1)} ${y.toFixed(1)}L${toX.toFixed(1)} ${toY.toFixed(1)}`);
-        card.dot.setAttribute("cx", toX.toFixed(1));
-        card.dot.setAttribute("cy", toY.toFixed(1));
+        billboard.box.style.width = `${widest}px`;
+        billboard.box.style.transform = `translate(${x.toFixed(1)}px,${(y - billboard.height / 2).toFixed(1)}px)`;
+        const { x: toX, y: toY } = billboard.at;
+        billboard.path.setAttribute("d", `M${edge.toFixed(1)} ${y.toFixed(1)}L${toX.toFixed(1)} ${toY.toFixed(1)}`);
+        billboard.dot.setAttribute("cx", toX.toFixed(1));
+        billboard.dot.setAttribute("cy", toY.toFixed(1));
       });
     }
   }
 
   /**
-   * Places each billboard on the side of its joint; both columns are about equally long.
-   * @param {Card[]} cards @param {number} middle @param {number} room billboards per column
+   * Chooses the side of each joint's billboard, so that both columns have about the same length.
+   * @param {Billboard[]} billboards @param {number} middle @param {number} room billboards per column
    */
-  #chooseSides(cards, middle, room) {
-    for (const card of cards) {
-      const away = card.at.x - middle;
-      if (card.side < 0 || Math.abs(away) > HYSTERESIS) card.side = away < 0 ? 0 : 1;
+  #chooseSides(billboards, middle, room) {
+    for (const billboard of billboards) {
+      const away = billboard.at.x - middle;
+      if (billboard.side < 0 || Math.abs(away) > HYSTERESIS) billboard.side = away < 0 ? 0 : 1;
     }
-    const most = Math.min(Math.max(Math.ceil(cards.length / 2) + 1, 2), room);
+    const limit = Math.min(Math.max(Math.ceil(billboards.length / 2) + 1, 2), room);
     for (const side of [0, 1]) {
-      const column = cards.filter((card) => card.side === side);
+      const column = billboards.filter((billboard) => billboard.side === side);
       column.sort((a, b) => Math.abs(a.at.x - middle) - Math.abs(b.at.x - middle));
-      for (const card of column.slice(0, Math.max(column.length - most, 0))) card.side = 1 - side;
+      for (const billboard of column.slice(0, Math.max(column.length - limit, 0))) billboard.side = 1 - side;
     }
   }
 
-  /** Measures all billboards again, for another text size. */
+  /** Makes the next layout measure all billboards again, because the text size has changed. */
   forgetSizes() {
-    for (const card of this.cards.values()) {
-      card.width = 0;
-      card.box.style.width = "";
+    for (const billboard of this.billboards.values()) {
+      billboard.width = 0;
+      billboard.box.style.width = "";
     }
   }
 }
 
-/** @param {Card} card @param {boolean} isShown */
+/** @param {Billboard} billboard @param {boolean} isShown */
 function show({ box, path, dot }, isShown) {
   for (const each of [box, path, dot]) each.style.display = isShown ? "" : "none";
 }
 
-/** Returns the billboards with the highest load that fit, and hides all others. @param {Card[]} shown @param {number} most */
-function mostLoaded(shown, most) {
-  if (shown.length <= most) return shown;
+/** Returns the `count` billboards with the highest load, and hides all others. @param {Billboard[]} shown @param {number} count */
+function mostLoaded(shown, count) {
+  if (shown.length <= count) return shown;
   const sorted = [...shown].sort((a, b) => b.content.load - a.content.load);
-  for (const card of sorted.slice(most)) show(card, false);
-  return sorted.slice(0, most);
+  for (const billboard of sorted.slice(count)) show(billboard, false);
+  return sorted.slice(0, count);
 }

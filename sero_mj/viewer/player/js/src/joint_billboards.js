@@ -1,23 +1,23 @@
-/** The billboards of a recorded run: values of joints and smart arrows. */
+/** The billboards of a recorded run, which show values of joints and smart arrows. */
 
 import { textOf, valueOf } from "./data.js";
 import { BILLBOARD, VECTOR } from "./geoms.js";
 
 /** @typedef {import("./data.js").Run} Run */
-/** @typedef {import("./cards.js").Content} Content */
+/** @typedef {import("./billboards.js").Content} Content */
 
 const TORQUES = ["torques", "torque_error"];
 
-/** The billboards of a run, with kind and item as keys. */
-export class JointCards {
+/** Computes the contents of the billboards of a run. Their keys consist of kind and item. */
+export class JointBillboards {
   /** @param {Run} run */
   constructor(run) {
     this.run = run;
-    const areSome = run.joints.some((joint) => joint.card); // otherwise all joints have billboards
+    const areSome = run.joints.some((joint) => joint.card); // If none is on, all joints have billboards.
     this.joints = [...run.joints.keys()].filter((j) => (run.joints[j].card || !areSome) && run.joints[j].lines.length);
     this.chosen = -1;
     this.vector = -1; // smart arrow that was clicked on
-    this.quantity = ""; // quantity of the arrows; empty for the quantity in the file
+    this.quantity = ""; // quantity of the arrows, or an empty string for the quantity in the file
   }
 
   /**
@@ -26,7 +26,7 @@ export class JointCards {
    */
   at(stage, frame) {
     const found = this.joints.map((joint) => this.#ofJoint(stage, joint, frame));
-    for (const { item, texts, at } of this.run.cards) {
+    for (const { item, texts, at } of this.run.arrowTexts) {
       const place = stage.items.places.get(`${VECTOR} ${item}`), text = texts[at[frame]];
       if (item !== this.vector || !place || !text) continue;
       found.push({ key: `${VECTOR} ${item}`, title: "", lines: [["", text]], sign: "", isStale: false,
@@ -35,7 +35,7 @@ export class JointCards {
     return found;
   }
 
-  /** Returns the lines of a joint. A torque line that is not declared shows the arrows' quantity. @param {number} joint */
+  /** Returns the lines of a joint's billboard. A default line with a torque shows the quantity of arrows. @param {number} joint */
   #linesOf(joint) {
     const { lines, details, follows } = this.run.joints[joint];
     const isTorque = follows && lines.length === 1 && TORQUES.includes(lines[0].key);
