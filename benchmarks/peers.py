@@ -93,24 +93,24 @@ class Work:
     names: dict[str, str] = field(default_factory=dict)  # titles that override those of `PEERS`
 
 
-_ARRAYS = "sero-mj calls the same functions, checks its input and returns a new array"
+_ARRAYS = "sero-mj calls the same functions, but also checks its input and returns a new array"
 _PINOCCHIO = (
-    "it computes only the frames of the joints. MuJoCo, which sero-mj uses, also computes axes, "
-    "quaternions and inertial frames of all links"
+    "it only computes the frames of the joints, while MuJoCo, which sero-mj uses, also computes "
+    "the axes, quaternions and inertial frames of all links"
 )
 _PAGE = (
-    "A loop at 100 Hz sets new angles and torques of all joints in each call, while a browser "
+    "In each call, a loop at 100 Hz sets new angles and torques for all joints, while a browser "
     "shows the page with software rendering. sero-mj copies the numbers to memory that it shares "
     "with the viewer process, which computes arrows, sizes and labels. The other packages compute "
     "frames in the loop and send one message per link and per bar or arrow. "
-    "The server of rerun has no open viewer."
+    "For rerun, no viewer is connected to the server."
 )
 _WINDOW = (
     "The same task with a window on a virtual screen. With MuJoCo's passive viewer, the loop "
     "computes kinematics and adds an arrow for each joint."
 )
 _MESHCAT = {"with_pinocchio": "MeshCat with Pinocchio's visualizer"}
-_COUNTS = "it counts packets, but neither reads nor renders them"
+_COUNTS = "it only counts packets, and neither reads nor renders them"
 
 WORKS = {
     "fk_one": Work(
@@ -121,7 +121,7 @@ WORKS = {
     ),
     "fk_many": Work(
         "Forward kinematics, 1000 poses",
-        "One call if the package supports it, otherwise a loop in Python.",
+        "One call for all poses if the package supports it, or else a loop in Python.",
         ("ours", "bare_mujoco", "with_pinocchio", "with_roboticstoolbox"),
         why={"bare_mujoco": _ARRAYS, "with_pinocchio": _PINOCCHIO},
     ),
@@ -134,7 +134,7 @@ WORKS = {
     "control": Work(
         "Hand-written control step",
         "K (q_d - q) - D dq + g(q). sero-mj uses its joint impedance controller, which designs D "
-        "from M(q) at 10 Hz. The others use a constant D.",
+        "from M(q) at 10 Hz, while the others use a constant D.",
         ("ours", "bare_mujoco", "with_pinocchio"),
         why={
             "bare_mujoco": "sero-mj also designs D and adds the feedforward terms of the target",
@@ -144,13 +144,14 @@ WORKS = {
     ),
     "joint_control": Work(
         "Joint control step",
-        "sero-mj controls an LWR with joint impedance, robosuite a Panda with `JOINT_POSITION`. "
-        "Both include the update of the model. robosuite 1.5 needs a MuJoCo version before 3.4.",
+        "sero-mj controls an LWR with joint impedance, and robosuite a Panda with "
+        "`JOINT_POSITION`. Both times include updating the model. robosuite 1.5 needs a MuJoCo "
+        "version before 3.4.",
         ("ours", "with_robosuite"),
     ),
     "cartesian_control": Work(
         "Cartesian control step",
-        "sero-mj controls an LWR with Cartesian impedance, robosuite a Panda with `OSC_POSE`.",
+        "sero-mj controls an LWR with Cartesian impedance, and robosuite a Panda with `OSC_POSE`.",
         ("ours", "with_robosuite"),
     ),
     "show_page_7": Work(
@@ -174,14 +175,14 @@ WORKS = {
         "An image of 640 x 480 pixels without a window.",
         ("ours", "bare_mujoco"),
         why={
-            "bare_mujoco": "it renders the URDF without floor, lights and shadows (see the next "
-            "table), and reads only the elements that its own parser supports"
+            "bare_mujoco": "it renders the URDF without a floor, lights or shadows (see the next "
+            "table), and only reads the elements that its own parser supports"
         },
     ),
     "first_scene": Work(
         "From the start of Python to an image of the same scene",
-        "The same task, but MuJoCo reads the scene that sero-mj exports from the URDF, with "
-        "floor, lights and shadows, seen from the same camera.",
+        "The same task, but MuJoCo reads the scene that sero-mj has exported from the URDF, with "
+        "the same floor, lights, shadows and camera.",
         ("ours", "bare_mujoco"),
         why={"bare_mujoco": "sero-mj also reads and checks the URDF and compiles the scene"},
     ),
@@ -196,17 +197,17 @@ WORKS = {
     ),
     "packet_to_pixel": Work(
         "From a UDP packet to pixels",
-        "A packet is sent, received and applied, and an image of 640 x 480 pixels is rendered. "
-        "Scene, lights and camera are the same. sero-mj checks and counts packets in a separate "
-        "thread.",
+        "A packet is sent, received and applied, and then an image of 640 x 480 pixels is "
+        "rendered. The scene, lights and camera are the same. sero-mj checks and counts packets in "
+        "a separate thread.",
         ("ours", "bare_mujoco"),
-        why={"bare_mujoco": "it has no thread, no packet checks, and no arrows or labels"},
+        why={"bare_mujoco": "it has no separate thread, no packet checks, and no arrows or labels"},
     ),
     "packets": Work(
         "Packets per second without loss",
-        "112-byte packets over loopback from a sender in C, at increasing rates up to 400,000/s. "
-        "sero-mj renders 30 images per second at the same time. The other programs do nothing "
-        "else.",
+        "A sender in C sends 112-byte packets over loopback at increasing rates of up to "
+        "400,000/s. At the same time, sero-mj renders 30 images per second, while the other "
+        "programs do nothing else.",
         ("ours",),
         unit="packets/s",
         why={
@@ -224,13 +225,13 @@ WORKS = {
         ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
         why={
-            "with_gymnasium": "Pusher sets its controls once per action, while sero-mj runs "
+            "with_gymnasium": "Pusher sets its controls once per action, while sero-mj computes "
             "sensors, a torque controller, drives with limits and a log in each physics step"
         },
     ),
     "environments": Work(
         "Environment step, 64 robots together",
-        "The same task with `gymnasium.make_vec`, per robot. sero-mj uses all cores, which is its "
+        "The same task with `gymnasium.make_vec`, measured per robot. sero-mj uses all cores by "
         "default. mjlab is designed for GPUs and thousands of robots.",
         ("ours", "with_gymnasium", "with_mjlab"),
         unit="times mj_step",
@@ -240,7 +241,7 @@ LEFT_OUT = (
     ("Time to the first image with rerun", "its page does not signal when it has rendered"),
     (
         "Packet to pixel with viser and MeshCat",
-        "neither receives packets, so this would measure our own code",
+        "neither package receives packets, so we would only measure our own code",
     ),
 )
 
@@ -464,12 +465,12 @@ def page_of(found: dict[str, dict[str, Row]], rounds: int, busy: Sequence[float]
     how = "one round" if rounds == 1 else f"median of {rounds} rounds"
     head = f"""# Performance compared with other packages
 
-This page shows how long the same task takes with sero-mj and with other packages. The
-packages were measured alternately in one run ({how}). `make peers` repeats the
-measurements and writes this page. If a task has a numerical result, the results of all packages
-agree to 1e-6. Images are rendered in software, without a GPU. Load is the average number of
-processes that were ready to run. If it exceeds the number of cores, all rendering times are too
-long. The last column is the ratio to the value of sero-mj.
+This page shows how long sero-mj and other packages take for the same tasks. The packages were
+measured alternately in one run ({how}). `make peers` repeats the measurements and
+writes this page. If a task has a numerical result, the results of all packages agree to 1e-6.
+Images are rendered in software, without a GPU. Load is the average number of processes that were
+ready to run. If it exceeds the number of cores, all rendering times are too long. The last column
+is the ratio to the value of sero-mj.
 
 {date.today().isoformat()} · {machine()}, load {loads} · {", ".join(versions)}
 """

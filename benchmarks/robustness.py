@@ -127,7 +127,7 @@ FUZZED = (
         "test_web_start.py::test_browser_that_loses_control_during_an_upload_uploads_nothing",
         "test_web_start.py::test_other_sites_and_requests_without_a_token_are_rejected",
     )),
-    Target("control characters that files send to the terminal", ("test_terminal.py",)),
+    Target("control characters from files in terminal output", ("test_terminal.py",)),
     Target("uploads", (
         "test_web_start.py::test_rejected_uploads_leave_nothing_and_full_storage_is_reported",
         "test_start_page.py::test_no_path_leads_out_of_the_folder",
@@ -145,7 +145,7 @@ FUZZED = (
 )  # fmt: skip
 
 FAULTS = (
-    Target("Ctrl+C, SIGTERM and kill -9 of a process that has started programs", (
+    Target("Ctrl+C, SIGTERM or kill -9 while started programs are running", (
         "test_child_process.py",
     )),
     Target("kill -9 of other processes", (
@@ -157,10 +157,10 @@ FAULTS = (
         "test_second_viewer_replaces_the_first_and_a_dead_one_does_not_stop_the_loop",
         "test_web_guard.py::test_terminated_page_leaves_no_files",
     )),
-    Target("exceptions while packets are received", (
+    Target("exceptions while receiving packets", (
         "test_receiving_thread.py",
     )),
-    Target("host names with several, slow or no addresses", (
+    Target("host names with several addresses, with slow ones or with none", (
         "extensions/test_connecting.py",
     )),
     Target("systems without POSIX functions", (
@@ -205,12 +205,12 @@ LIMITS = (
     ("camera file", "extensions.photo.camera_file", "_MAX_BYTES", "bytes"),
     ("packet", "data.receive.language", "MAX_PACKET_BYTES", "bytes"),
     ("queued packets of a lossless source", "data.receive.mailbox", "QUEUE_BYTES", "bytes"),
-    ("message of a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
-    ("messages per second of a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
-    ("queued messages of browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
-    ("connected browsers of a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
-    ("uploaded files of a server, total size", "viewer.web.uploads", "MAX_BYTES", "bytes"),
-    ("uploaded files of a server, number", "viewer.web.uploads", "MAX_FILES", ""),
+    ("message from a browser", "viewer.web.messages", "MAX_BYTES", "bytes"),
+    ("messages per second from a browser", "viewer.web.browsers", "_MAX_PER_SECOND", ""),
+    ("queued messages from browsers", "viewer.web.browsers", "_MAX_QUEUED", ""),
+    ("browsers connected to a page", "viewer.web.browsers", "_MAX_BROWSERS", ""),
+    ("total size of uploaded files on a server", "viewer.web.uploads", "MAX_BYTES", "bytes"),
+    ("number of uploaded files on a server", "viewer.web.uploads", "MAX_FILES", ""),
     ("saved view", "viewer.session.view_state", "_MAX_CHARACTERS", "characters"),
     ("log of a run", "simulate.simulation", "MAX_BYTES", "bytes"),
     ("duration of a simulated run", "simulate.scenario", "_MAX_DURATION", "s"),
@@ -418,8 +418,8 @@ _DOCS = """# Attacks and faults
 
 This page lists the attacks and faults that sero-mj is tested against, and the limits that it
 enforces. `make robustness` runs the tests and rewrites this page. The test of an attack fails if
-the attack runs a program, ends or blocks sero-mj, increases its memory without limit, or makes it
-apply a wrong value. Hypothesis generates the cases. The same seed generates the same cases.
+sero-mj exits, hangs, uses more and more memory, runs a program or applies a wrong value.
+Hypothesis generates the cases, and the same seed always generates the same cases.
 
 {about}; seed {seed}.
 
@@ -437,8 +437,8 @@ apply a wrong value. Hypothesis generates the cases. The same seed generates the
 
 ## Limits
 
-An item that exceeds a limit is rejected with a message that states its size and the limit. If a
-packet queue or a history is full, the oldest entries are dropped.
+sero-mj rejects an item that exceeds a limit with a message that states its size and the limit.
+If a packet queue or a history is full, the oldest entries are dropped.
 
 {limits}
 """
@@ -472,8 +472,8 @@ td:last-child {{ white-space: normal }} img {{ max-width: 100% }} .bad {{ color:
 <h2>Faults</h2>{faults}
 <h2>A long run</h2><p>{soak}</p>
 <img src="{picture}" alt="memory, handles, threads and latencies over time">
-<h2>Limits</h2><p>An item that exceeds a limit is rejected with its size and the limit. If a packet
-queue or a history is full, the oldest entries are dropped.</p>
+<h2>Limits</h2><p>sero-mj rejects an item that exceeds a limit with a message that states its size
+and the limit. If a packet queue or a history is full, the oldest entries are dropped.</p>
 {limits}
 </html>
 """
@@ -513,15 +513,15 @@ def main() -> None:
         f"{'short form' if options.quick else 'long form'} · {time.monotonic() - begin:.0f} s"
     )
     summary = (
-        f"A page with one client receives {RATE} packets/s for {seconds:g} s. "
-        f"{rows[-1]['received']:,} of {int(RATE * seconds):,} packets were received, and "
-        f"{rows[-1]['states']:,} states were sent. Memory was {rows[0]['memory']:.0f} MiB at the "
-        f"beginning and {rows[-1]['memory']:.0f} MiB at the end, {grown(rows, 'memory'):.2f} times "
-        "the value after a quarter of the time, when history and caches are full. In the median "
-        "second, 99 % of the states were sent within "
+        f"A page with one client receives {RATE} packets/s for {seconds:g} s. It received "
+        f"{rows[-1]['received']:,} of {int(RATE * seconds):,} packets and sent "
+        f"{rows[-1]['states']:,} states. Memory was {rows[0]['memory']:.0f} MiB at the "
+        f"beginning and {rows[-1]['memory']:.0f} MiB at the end, which is "
+        f"{grown(rows, 'memory'):.2f} times the value after a quarter of the time, when history "
+        "and caches are full. In the median second, 99 % of the states were sent within "
         f"{ages[len(ages) // 2]:.0f} ms after their packet. After a third of the time, the sender "
-        "pauses for 2 s and then sends the packets in a burst. After two thirds, the viewer "
-        "process is suspended for 2 s."
+        "pauses for 2 s and then sends the delayed packets in a burst. After two thirds, the "
+        "viewer process is suspended for 2 s."
     )
     page = _PAGE.format(
         about=html.escape(about),

@@ -96,7 +96,7 @@ legend = false
 SHOTS = (
     Shot("justin", "Rollin' Justin, approximate geometry (not DLR data)",
          GROUP.format(model="justin", azimuth=205, distance=2.7, height=0.92), holds_itself=True),
-    Shot("justin_push", "Simulated Justin: an arm is pushed, so its arrows are wide",
+    Shot("justin_push", "Simulated Justin with one arm pushed, which makes its arrows wide",
          "justin_push", {"toggles.legend": False}, at=2.5),
     Shot("space_justin", "SpaceJustin, approximate geometry (not DLR data)",
          GROUP.format(model="space_justin", azimuth=205, distance=2.7, height=0.95),
@@ -108,13 +108,13 @@ SHOTS = (
          GROUP.format(model="hit_hand2", azimuth=165, distance=0.42, height=0.08)),
     Shot("dlr_hand2", "DLR Hand II, approximate geometry (not DLR data)",
          GROUP.format(model="dlr_hand2", azimuth=165, distance=0.56, height=0.1)),
-    Shot("hit_hand_grasp", "Simulated grasp of a can by friction, with torques and forces",
+    Shot("hit_hand_grasp", "Simulated hand that grasps a can by friction, with torques and forces",
          "hit_hand_grasp", at=4.5),
-    Shot("biped", "Simulated DLR Biped: stands with stiff ankles and is pushed", "biped_stand",
+    Shot("biped", "Simulated DLR Biped, pushed while it stands with stiff ankles", "biped_stand",
          at=2.25),
-    Shot("puma560", "Unimation Puma 560, standard DH table, published dynamics", "puma560",
+    Shot("puma560", "Unimation Puma 560 with a standard DH table and published dynamics", "puma560",
          {"puma560.show_arrows": True}, holds_itself=True),
-    Shot("panda", "Franka Emika Panda, modified DH table", "panda",
+    Shot("panda", "Franka Emika Panda with a modified DH table", "panda",
          {"panda.show_arrows": True}, holds_itself=True),
     Shot("fr3", "Franka Research 3", "fr3", {"fr3.show_arrows": True}, holds_itself=True),
     Shot("iiwa14", "KUKA LBR iiwa 14", "iiwa14", {"iiwa14.show_arrows": True}, holds_itself=True),
@@ -125,8 +125,8 @@ SHOTS = (
          {"scara.show_arrows": True}, holds_itself=True),
     Shot("stanford", "Stanford arm with a prismatic joint", "stanford",
          {"stanford.show_arrows": True}, holds_itself=True),
-    Shot("five_bar", "Five-bar linkage of two serial legs", "five_bar", played_by=PARALLEL),
-    Shot("stewart", "Stewart platform of six serial legs with a loop closure check", "stewart",
+    Shot("five_bar", "Five-bar linkage with two serial legs", "five_bar", played_by=PARALLEL),
+    Shot("stewart", "Stewart platform with six serial legs and a loop closure check", "stewart",
          played_by=PARALLEL),
     Shot("torques", "Round arrows: a push and the joint torques that it causes", "impedance_push",
          at=3.2, group=FEATURES),
@@ -135,7 +135,7 @@ SHOTS = (
         "lwr.torques": [0, 40, 5, -20, 2, -4, 0],
         "lwr.commanded_torques": [20, -10, 15, 10, -12, 6, 5],
     }, group=FEATURES),
-    Shot("singularity", "Closeness to a singularity: the arm is almost stretched",
+    Shot("singularity", "Proximity to a singularity: the arm is almost straight",
          "singularity_pass", {"disturbances.elbow.force": [0.0, 1e-9, 0.0],
                               "disturbances.elbow.show": False}, at=3.0, group=FEATURES),
     Shot("billboards", "Billboards: angle and torque of each joint", LWR, {
@@ -223,7 +223,7 @@ def make_page(shots: Sequence[Shot] = SHOTS) -> str:
     """Returns the text of the page in Markdown."""
     about = (
         "This page shows the robots and visual features of sero-mj. `make gallery` renders the "
-        "images. Their scenes are defined in `docs/gallery.py`."
+        "images from the scenes in `docs/gallery.py`."
     )
     lines = ["# Gallery", "", about, ""]
     for group in (SYSTEMS, FEATURES):

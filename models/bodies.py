@@ -1,9 +1,9 @@
 """Bodies of links, for the scripts that write the meshes of this folder's robots.
 
-All robots are made of the same few kinds of body, in metres, in their links' frames: bodies of
-revolution (rings, drums, caps, lenses) and lofts, which lead through outlines that change along a
-path. Each is closed, so MuJoCo can weigh it. A link is a table of parts by colour; `write_links`
-writes one binary STL file for each, the same byte for byte on every run.
+All robots consist of the same few kinds of bodies, in meters, in the frames of their links: bodies
+of revolution (rings, drums, caps, lenses) and lofts, which pass through outlines that change along
+a path. Each body is closed, so MuJoCo can compute its mass. A link is a table of parts by color.
+`write_links` writes one binary STL file for each color. Every run writes identical files.
 
 The shapes are this project's own design; no manufacturer's data is used.
 """
@@ -22,25 +22,25 @@ X, Y, Z = np.eye(3)
 ROUND_SIDES = 24  # facets of the small bodies of revolution
 RING_INSET = 0.0016  # m, dark seam rings lie this far below the shells beside them
 
-Parts = Mapping[str, Sequence[trimesh.Trimesh]]  # by colour
+Parts = Mapping[str, Sequence[trimesh.Trimesh]]  # by color
 
 
 def ramp(x: np.ndarray | float, start: float, stop: float) -> np.ndarray:
-    """Return a quintic step of ``x``, 0 before ``start`` and 1 after ``stop`` (same units)."""
+    """Returns a quintic step of `x`, 0 before `start` and 1 after `stop` (same units)."""
     t = np.clip((np.asarray(x, float) - start) / (stop - start), 0.0, 1.0)
     return t**3 * (t * (6.0 * t - 15.0) + 10.0)
 
 
 def mix(a: float, b: float, t: float) -> float:
-    """Return ``a`` at t = 0 and ``b`` at t = 1 (any units)."""
+    """Returns `a` at t = 0 and `b` at t = 1 (any units)."""
     return a + (b - a) * t
 
 
 def fillet(points: list[tuple], steps: int = 3) -> np.ndarray:
-    """Round the corners of an open (r, z) polyline in metres.
+    """Rounds the corners of an open (r, z) polyline in meters.
 
-    A point (r, z, f) with a third number is replaced by an arc of radius ``f`` (metres) in
-    ``steps`` chords; end points and points without ``f`` stay sharp.
+    A point (r, z, f) with a third number is replaced by an arc of radius `f` (meters) with `steps`
+    chords. End points and points without `f` stay sharp.
     """
     out = []
     for i, point in enumerate(points):
@@ -64,20 +64,20 @@ def fillet(points: list[tuple], steps: int = 3) -> np.ndarray:
 
 
 def strip(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return the triangles between two rows of vertex numbers of the same length."""
+    """Returns the triangles between two rows of vertex numbers of the same length."""
     upper = np.column_stack([a[:-1], a[1:], b[1:]])
     return np.vstack([upper, np.column_stack([a[:-1], b[1:], b[:-1]])])
 
 
 def close(ring: np.ndarray) -> np.ndarray:
-    """Return a row of vertex numbers with its first number repeated at the end."""
+    """Returns a row of vertex numbers with its first number repeated at the end."""
     return np.append(ring, ring[0])
 
 
 def skin(rings: np.ndarray) -> trimesh.Trimesh:
-    """Join closed rings of points, shape (rings, points, 3) in metres, to one closed surface.
+    """Joins closed rings of points, shape (rings, points, 3) in meters, to a closed surface.
 
-    First and last ring are closed by a fan round their mean; repeated points collapse.
+    The first and last rings are closed by a fan around their mean. Repeated points collapse.
     """
     points = np.vstack([rings.reshape(-1, 3), rings[0].mean(axis=0), rings[-1].mean(axis=0)])
     count, size = rings.shape[:2]
@@ -87,7 +87,7 @@ def skin(rings: np.ndarray) -> trimesh.Trimesh:
 
 
 def solid(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
-    """Weld points (metres, to 0.1 um), drop collapsed faces and turn all normals outwards."""
+    """Merges points (meters, to 0.1 um), drops collapsed faces and orients all normals outward."""
     keys = np.round(vertices * 1e7).astype(np.int64)
     _, first, label = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = label.reshape(-1)[faces]
@@ -102,7 +102,7 @@ def solid(vertices: np.ndarray, faces: np.ndarray) -> trimesh.Trimesh:
 
 
 def place(mesh: trimesh.Trimesh, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> trimesh.Trimesh:
-    """Turn a part's z axis to ``axis`` (a unit vector) and move it to ``origin`` (metres)."""
+    """Rotates a part's z axis to `axis` (a unit vector) and moves it to `origin` (meters)."""
     side = X if abs(axis[0]) < 0.5 else Y
     u = side - axis * (side @ axis)
     u /= np.linalg.norm(u)
@@ -113,7 +113,7 @@ def place(mesh: trimesh.Trimesh, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> tr
 
 
 def revolve(profile, axis=Z, origin=(0.0, 0.0, 0.0), sides: int = ROUND_SIDES) -> trimesh.Trimesh:
-    """Turn an open (r, z) profile in metres about ``axis`` through ``origin`` and close it."""
+    """Revolves an open (r, z) profile in meters about `axis` through `origin` and closes it."""
     profile = np.asarray(profile, float)
     angle = np.arange(sides) * 2.0 * np.pi / sides
     r, z = profile[:, :1], profile[:, 1:]
@@ -122,9 +122,9 @@ def revolve(profile, axis=Z, origin=(0.0, 0.0, 0.0), sides: int = ROUND_SIDES) -
 
 
 def superellipse(a: float, b: float, power: float, sides: int) -> np.ndarray:
-    """Return an outline (sides, 2) with half widths ``a`` and ``b`` (metres).
+    """Returns an outline (sides, 2) with half widths `a` and `b` (meters).
 
-    ``power`` 2 is an ellipse, 4 a box with round corners.
+    With `power` 2, it is an ellipse, and with 4, a box with round corners.
     """
     angle = np.arange(sides) * 2.0 * np.pi / sides
     c, s = np.cos(angle), np.sin(angle)
@@ -134,10 +134,10 @@ def superellipse(a: float, b: float, power: float, sides: int) -> np.ndarray:
 
 
 def smooth(stations: np.ndarray, steps: int) -> np.ndarray:
-    """Lead a curve through the rows of ``stations``, ``steps`` to each, over its first column.
+    """Interpolates the rows of `stations` over the first column, with `steps` rows per interval.
 
-    Tangents are those of the parabola through three neighbours, limited so that nothing swings
-    over (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5, 1984, 300-304).
+    Tangents come from the parabola through three neighbors, limited so that the curve does not
+    overshoot (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5, 1984, 300-304).
     """
     w, values = stations[:, 0], stations[:, 1:]
     slope = np.diff(values, axis=0) / np.diff(w)[:, None]
@@ -172,16 +172,16 @@ def loft(
     steps: int = 2,
     sides: int = 24,
 ) -> trimesh.Trimesh:
-    """Lead a skin through superellipses and close it with rounded ends.
+    """Returns a closed surface through superellipses, with rounded ends.
 
     Args:
-        stations: (w, a, b, power, u, v): place along the path, half widths, the outline's power,
-            and optionally the outline's middle; metres.
+        stations: (w, a, b, power, u, v): position along the path, half widths, power of the
+            outline, and optionally center of the outline, m.
         axes: unit vectors of u, v and w.
-        origin: where u, v and w are zero, metres.
-        edges: radii of the edges at both ends, metres.
-        steps: rings from one station to the next.
-        sides: facets round the path.
+        origin: point at which u, v and w are zero, m.
+        edges: radii of the edges at both ends, m.
+        steps: number of rings from one station to the next.
+        sides: number of facets around the path.
     """
     rows = np.array([(*station, 0.0, 0.0)[:6] for station in stations], float)
     rows = smooth(rows, steps)
@@ -195,7 +195,7 @@ def loft(
 
 
 def _end(rows: np.ndarray, k: int, edge: float) -> np.ndarray:
-    """Return the rings (3, 6) of the rounded end at row ``k``: from the flank to the face."""
+    """Returns the rings (3, 6) of the rounded end at row `k`, from the flank to the face."""
     edge = min(edge, 0.95 * rows[k, 1], 0.95 * rows[k, 2])
     inwards = 1.0 if k == 0 else -1.0
     out = []
@@ -215,7 +215,7 @@ def drum(
     edge: float = 0.004,
     sides: int = ROUND_SIDES,
 ) -> trimesh.Trimesh:
-    """Return a round body with rounded edges, ``half`` to both sides along ``axis``, metres."""
+    """Returns a round body with rounded edges, `half` to both sides along `axis`, in meters."""
     edge = min(edge, 0.9 * half, 0.9 * radius)
     flank = [(radius, half, edge), (0.0, half)]
     profile = [(0.0, -half), (radius, -half, edge), *flank]
@@ -223,7 +223,7 @@ def drum(
 
 
 def limb(start, stop, radii: tuple[float, float], power: float = 2.0) -> trimesh.Trimesh:
-    """Return a round bar between two points with rounded ends, metres."""
+    """Returns a round bar between two points, with rounded ends, in meters."""
     start, stop = np.asarray(start, float), np.asarray(stop, float)
     length = float(np.linalg.norm(stop - start))
     w = (stop - start) / length
@@ -236,15 +236,15 @@ def limb(start, stop, radii: tuple[float, float], power: float = 2.0) -> trimesh
 
 
 def seam_ring(radius: float, centre: float, axis=Z) -> trimesh.Trimesh:
-    """Return the dark disc that fills a seam at ``centre`` along ``axis``, all in metres.
+    """Returns the dark disc that fills a seam at `centre` along `axis`, in meters.
 
-    It reaches into the shells on either side, so no angle opens a gap.
+    It reaches into the shells on either side, so no joint angle opens a gap.
     """
     return revolve([(radius, centre - 0.004), (radius, centre + 0.004)], axis)
 
 
 def cap(radius: float, face: float, axis: np.ndarray) -> dict[str, list[trimesh.Trimesh]]:
-    """Return a domed joint cap in an orange ring on a drum face at ``face`` along ``axis`` (m)."""
+    """Returns a domed joint cap in an orange ring on a drum face at `face` along `axis` (m)."""
     r, low = radius, face - 0.003
     dome = [(r, low), (r - 0.0008, face + 0.0028), (r - 0.004, face + 0.004), (0.0, face + 0.0052)]
     ring = [(r + 0.0032, low), (r + 0.0024, face + 0.0015), (0.0, face + 0.0015)]
@@ -252,7 +252,7 @@ def cap(radius: float, face: float, axis: np.ndarray) -> dict[str, list[trimesh.
 
 
 def link_cap(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> dict:
-    """Return a joint cap like `cap`, about an axis through ``origin``, metres."""
+    """Returns a joint cap like `cap`, about an axis through `origin`, in meters."""
     shift = np.asarray(origin, float)
     return {
         colour: [part.copy().apply_translation(shift) for part in parts]
@@ -261,12 +261,12 @@ def link_cap(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0
 
 
 def tool_flange(face: float, holes: Sequence[float], radius: float = 0.033) -> Parts:
-    """Return a flange of ISO 9409-1-50 in its joint's frame: steel plate, dark bolt holes.
+    """Returns an ISO 9409-1-50 flange in the frame of its joint: steel plate, dark bolt holes.
 
     Args:
-        face: mounting face along z, metres.
-        holes: their angles round z, rad, on the circle of 50 mm.
-        radius: of the plate, metres.
+        face: position of the mounting face along z, m.
+        holes: angles of the holes around z on the 50 mm circle, rad.
+        radius: radius of the plate, m.
     """
     plate = [
         (radius - 0.0010, face - 0.0090),
@@ -277,7 +277,7 @@ def tool_flange(face: float, holes: Sequence[float], radius: float = 0.033) -> P
         (0.0160, face - 0.0008),
         (0.0150, face - 0.0040),
     ]
-    # Dark discs 0.1 mm proud: a hole at this scale is a dark spot.
+    # Dark discs that protrude by 0.1 mm; at this scale, a hole looks like a dark spot.
     spot = [(0.0030, face - 0.0010), (0.0028, face + 0.0001)]
     places = [(0.025 * np.cos(angle), 0.025 * np.sin(angle), 0.0) for angle in holes]
     return {
@@ -292,13 +292,14 @@ def pedestal(
     seam: tuple[float, float],
     bolt: tuple[float, float, float, float],
 ) -> Parts:
-    """Return a round column on a foot with six bolts, and the ring of the seam above it.
+    """Returns a round column on a foot with six bolts, and the ring of the seam above it.
 
     Args:
-        column: its (r, z) profile, see `fillet`, metres.
-        foot: likewise.
-        seam: radius and height of the ring, metres.
-        bolt: radius and half height of a bolt, radius of their circle, height of their middles.
+        column: (r, z) profile of the column, see `fillet`, m.
+        foot: (r, z) profile of the foot, m.
+        seam: radius and height of the ring, m.
+        bolt: radius and half height of a bolt, radius of the bolt circle, height of the bolt
+            centers, m.
     """
     radius, half, circle, height = bolt
     angles = (np.arange(6) + 0.5) * np.pi / 3
@@ -312,11 +313,11 @@ def pedestal(
 
 
 def wrist_fork(collar: Sequence[tuple], cheek: Sequence[tuple], axis: np.ndarray) -> Parts:
-    """Return a collar about a roll axis, and a fork of two cheeks about z with caps, metres.
+    """Returns a collar about a roll axis, and a fork of two cheeks about z with caps, in meters.
 
     Args:
-        collar: its (r, z) profile along ``axis``, see `fillet`.
-        cheek: stations of a cheek, against ``axis``, see `loft`.
+        collar: (r, z) profile of the collar along `axis`, see `fillet`.
+        cheek: stations of a cheek, opposite to `axis`, see `loft`.
         axis: unit vector from the middle of the fork to the collar.
     """
     sides = [1.0, -1.0]
@@ -329,11 +330,11 @@ def wrist_fork(collar: Sequence[tuple], cheek: Sequence[tuple], axis: np.ndarray
 
 
 def wrist_drum(radius: float, length: float, seam: float) -> Parts:
-    """Return the drum about y between the cheeks of `wrist_fork`, and a neck along z, metres.
+    """Returns the drum about y between the cheeks of `wrist_fork`, and a neck along z, in meters.
 
     Args:
-        radius: of the neck.
-        length: of the neck, from the axis of the drum.
+        radius: radius of the neck.
+        length: length of the neck from the axis of the drum.
         seam: height of the ring above it.
     """
     neck = [(radius, 0.0), (radius, length, 0.002), (0.0, length)]
@@ -344,12 +345,12 @@ def wrist_drum(radius: float, length: float, seam: float) -> Parts:
 
 
 def recolour(parts: Parts, colours: Mapping[str, str]) -> dict[str, list[trimesh.Trimesh]]:
-    """Return a table of parts under other names of colours."""
+    """Returns a table of parts with other color names."""
     return merge(*({colours.get(name, name): items} for name, items in parts.items()))
 
 
 def merge(*tables: Parts) -> dict[str, list[trimesh.Trimesh]]:
-    """Join tables of parts by colour."""
+    """Joins tables of parts by color."""
     out: dict[str, list[trimesh.Trimesh]] = {}
     for table in tables:
         for colour, parts in table.items():
@@ -358,12 +359,12 @@ def merge(*tables: Parts) -> dict[str, list[trimesh.Trimesh]]:
 
 
 def write_links(folder: Path, links: Mapping[str, Parts], label: str) -> None:
-    """Write every link's parts to ``folder`` and print their triangle counts.
+    """Writes the parts of every link to `folder` and prints their triangle counts.
 
     Args:
-        folder: made where it is not there.
-        links: parts by link name; files are called ``<link>_<colour>.stl``.
-        label: what stands in the files' heads.
+        folder: output folder, which is created if it does not exist.
+        links: parts by link name; files are named `<link>_<color>.stl`.
+        label: text in the headers of the files.
     """
     folder.mkdir(parents=True, exist_ok=True)
     total = 0
@@ -376,8 +377,8 @@ def write_links(folder: Path, links: Mapping[str, Parts], label: str) -> None:
 
 
 def write_stl(path: Path, parts: Sequence[trimesh.Trimesh], label: str) -> int:
-    """Write parts (metres) to one binary STL file and return the number of triangles."""
-    # Rounded to 0.1 um, so that a sine that differs in its last bit leaves the bytes alone.
+    """Writes parts (meters) to a binary STL file and returns the number of triangles."""
+    # Rounded to 0.1 um, so that a sine that differs in its last bit does not change the file.
     triangles = np.round(np.vstack([part.triangles for part in parts]), 7) + 0.0
     cross = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     normals = cross / np.linalg.norm(cross, axis=1, keepdims=True)

@@ -1,8 +1,8 @@
-"""Shells of arms whose joints roll and pitch by turns, for the scripts that write their meshes.
+"""Shells of arms whose joints alternately roll and pitch, for the scripts that write their meshes.
 
 A shell is a round tube at its roll seam that leans sideways into half a drum at its pitch joint.
 The two shells of a pitch joint meet in a flat disc across the pitch axis, so that both can pass
-each other up to +-120 degrees, or fold where their tubes stand aside of that axis.
+each other up to +-120 degrees, or fold if their tubes are beside that axis.
 
 The shapes are this project's own design; no manufacturer's data is used.
 """
@@ -20,36 +20,37 @@ from bodies import RING_INSET, Z, cap, close, mix, ramp, revolve, seam_ring, sol
 BEND = np.array([0.02, 0.20, 0.32, 0.50, 0.66, 0.78, 0.89, 1.0])
 SEAM_GAP = 0.0015  # m, from a shell's rim to the middle of its roll seam
 DISC_GAP = 0.0020  # m, from a drum's face to the middle of its pitch disc
-BEVEL = 0.0010  # m, at a shell's rim; MuJoCo gives a sharp rim one smeared normal without it
+BEVEL = 0.0010  # m, at a shell's rim; without it, MuJoCo averages the normals of the sharp rim
 DISC_EDGE = 0.0040  # m, edge radius of a drum at the pitch disc
 
 
 @dataclass(frozen=True)
 class Shell:
-    """Dimensions of one shell in metres; ``w`` runs from the pitch axis to the roll seam.
+    """Dimensions of a shell in meters; `w` runs from the pitch axis to the roll seam.
 
-    ``sides`` are facets of half its circumference, 6 k + 1: odd, so that a flat flank has two
-    edges.  ``turns`` are facets of the half turn round the pitch axis.
+    `sides` is the number of facets of half its circumference, 6 k + 1: odd, so that a flat flank
+    has two edges. `turns` is the number of facets of the half turn around the pitch axis.
     """
 
     length: float  # pitch axis to roll seam
     tube: float  # tube radius at the seam
     drum: float  # drum radius at the pitch axis
-    inner: float  # disc face, measured along the pitch axis towards the shell's own side
-    outer: float  # cap face, likewise
+    inner: float  # disc face, measured along the pitch axis toward the shell's own side
+    outer: float  # cap face, measured in the same way
     rim: float  # edge radius at the cap face
-    shoulder: tuple[float, float]  # w where the far side of the tube swells out
-    lean: tuple[float, float]  # w where the near side leans back to the tube
-    dome: float  # height of the domed shoulder over its edges
-    offset: float = 0.0  # of the roll seam from the pitch axis, along side x seam
+    shoulder: tuple[float, float]  # range of w in which the far side widens to the tube
+    lean: tuple[float, float]  # range of w in which the near side leans back to it
+    dome: float  # height of the domed shoulder above its edges
+    offset: float = 0.0  # from the pitch axis to the roll seam, along side x seam
     sides: int = 13
     turns: int = 12
 
 
 def shell_section(shell: Shell, w: float) -> np.ndarray:
-    """Return half the outline of a shell at ``w`` (metres) as (u, v) points, inner to outer.
+    """Returns half the outline of a shell at `w` (meters) as (u, v) points, inner to outer.
 
-    Two elliptic corners joined by flats: small corners give the drum, full ones the round tube.
+    It has two elliptic corners joined by flats. Small corners form the drum, and full corners the
+    round tube.
     """
     swell, lean = ramp(w, *shell.shoulder), ramp(w, *shell.lean)
     soft = ramp(w, 0.35 * shell.drum, shell.shoulder[1])
@@ -70,16 +71,16 @@ def shell_section(shell: Shell, w: float) -> np.ndarray:
 
 
 def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trimesh:
-    """Sweep a shell's outline from its drum to its roll seam (metres).
+    """Sweeps the outline of a shell from its drum to its roll seam, in meters.
 
-    ``side`` is the unit vector along the pitch axis to the shell's own side, ``seam`` the unit
+    `side` is the unit vector along the pitch axis to the shell's own side. `seam` is the unit
     vector from the pitch axis to the roll seam.
     """
     start, stop = shell.shoulder
     sides, third = shell.sides, shell.sides // 6
     seam_edge = shell.length - SEAM_GAP
     tube, aside = [], []
-    # Flanks that lean from the pitch axis on curve from there on.
+    # Flanks that lean from the pitch axis curve from there.
     low = start * np.linspace(0.0, 1.0, 8 if shell.offset else 2, endpoint=False)
     for w in [*low, *(start + (stop - start) * BEND), seam_edge - BEVEL]:
         half = shell_section(shell, w)
@@ -97,7 +98,7 @@ def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trim
     shifts = np.outer(aside, (1.0, 0.0, 0.0))
     tube = [ring + shift for ring, shift in zip(tube, shifts, strict=True)]
 
-    # Of its small inner edge the drum keeps only three points.
+    # The drum has only three points of its small inner edge.
     inner = np.repeat([1, 2 * third, 3 * third], third)
     kept = np.array([0, *inner, *range(3 * third + 1, sides + 1)])
     u, v = shell_section(shell, 0.0)[kept].T
@@ -117,14 +118,14 @@ def shell_mesh(shell: Shell, side: np.ndarray, seam: np.ndarray) -> trimesh.Trim
 def wrist_ball(
     radius: float, cut: float, face: float, neck: float, seam: float, axis: np.ndarray
 ) -> dict[str, list[trimesh.Trimesh]]:
-    """Return the ball of a wrist in its frame: cut flat towards its carrier, neck, cap.
+    """Returns the ball of a wrist in its frame: flat cut toward its carrier, neck, cap.
 
     Args:
-        radius: of the ball, metres.
-        cut: place of its flat along z, metres; below zero.
-        face: place of the flat under its cap, likewise.
-        neck: radius of the neck, metres.
-        seam: from the middle to the neck's seam, metres.
+        radius: radius of the ball, m.
+        cut: position of the flat cut along z, m, negative.
+        face: position of the flat under the cap along z, m.
+        neck: radius of the neck, m.
+        seam: distance from the center to the seam of the neck, m.
         axis: unit vector along the neck.
     """
     turn = np.linspace(np.arccos(cut / radius), np.arccos(face / radius), 10)

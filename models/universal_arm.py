@@ -1,8 +1,9 @@
 """Links of the arms of Universal Robots, for the scripts that write their meshes.
 
-All these arms are built of joints of a few sizes: a round housing with a lid at its back, from
-whose side the next joint leaves.  Shoulder, elbow and the two wrist housings stand beside each
-other along their axes, and tubes connect them.  A `UniversalArm` is the table of one of them.
+All these arms consist of joints in a few sizes. A joint is a round housing with a lid at its back,
+and the next joint leaves from its side. The shoulder, the elbow and the two wrist housings are next
+to each other along their axes, and tubes connect them. A `UniversalArm` contains the dimensions of
+one arm.
 
 The shapes are this project's own design; no data of the manufacturer's shapes is used.
 """
@@ -31,7 +32,7 @@ from bodies import (
 
 SIDES = 48  # facets of housings
 GAP = 0.0012  # m, from a housing's rim to the middle of its seam
-BEVEL = 0.0015  # m, at a rim; MuJoCo gives a sharp rim one smeared normal without it
+BEVEL = 0.0015  # m, at a rim; without it, MuJoCo averages the normals of the sharp rim
 COLLAR = 0.022  # m, from a housing's flank to the end of the neck that holds a tube
 LID = 0.010  # m, height of a lid
 
@@ -40,7 +41,7 @@ Table = dict[str, list[trimesh.Trimesh]]
 
 @dataclass(frozen=True)
 class UniversalArm:
-    """Dimensions of an arm in metres; those of its DH table have its names."""
+    """Dimensions of an arm in meters; dimensions in its DH table have the same names."""
 
     d1: float
     a2: float
@@ -56,32 +57,32 @@ class UniversalArm:
     tool: float  # radius of the last link
     upper_tube: float  # radius
     lower_tube: float  # radius
-    shoulder_offset: float  # of the upper arm's middle along axis 2
-    elbow_offset: float  # of the forearm's middle, likewise
+    shoulder_offset: float  # of the middle of the upper arm along axis 2
+    elbow_offset: float  # of the middle of the forearm along axis 2
 
     @property
     def seam(self) -> float:
-        """Place of the seams of shoulder and elbow along axis 2, midway between the two arms."""
+        """Position of the shoulder and elbow seams along axis 2, midway between the two arms."""
         return 0.5 * (self.shoulder_offset + self.elbow_offset)
 
     @property
     def half(self) -> float:
-        """Half the length of the upper arm's housings along axis 2."""
+        """Half the length of the housings of the upper arm along axis 2."""
         return 0.5 * (self.shoulder_offset - self.elbow_offset)
 
 
 def housing(
     radius: float, seam: float, back: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0), edge=0.004
 ) -> trimesh.Trimesh:
-    """Return a round housing from its seam to its back along ``axis``, metres.
+    """Returns a round housing from its seam to its back along `axis`, in meters.
 
     Args:
-        radius: of the housing.
-        seam: middle of the seam where the next link turns.
-        back: its closed end, with an edge of radius ``edge``.
+        radius: radius of the housing.
+        seam: middle of the seam at which the next link rotates.
+        back: closed end.
         axis: unit vector.
-        origin: where both are zero.
-        edge: at the back.
+        origin: point at which `seam` and `back` are zero.
+        edge: radius of the edge at the back.
     """
     way = 1.0 if back > seam else -1.0
     start = seam + way * GAP
@@ -95,8 +96,8 @@ def housing(
 
 
 def outlet(radius: float, seam: float, axis: np.ndarray) -> trimesh.Trimesh:
-    """Return the side of a housing where the next joint leaves, up to its seam, metres."""
-    inside = radius - 0.0015  # so that it touches the housing's flank nowhere
+    """Returns the side of a housing where the next joint leaves, up to its seam, in meters."""
+    inside = radius - 0.0015  # so that it does not touch the flank of the housing
     profile = [
         (inside, 0.0),
         (inside, 0.7 * radius),
@@ -108,7 +109,7 @@ def outlet(radius: float, seam: float, axis: np.ndarray) -> trimesh.Trimesh:
 
 
 def lid(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) -> Table:
-    """Return the blue lid at the back of a housing, and the dark gap below it, metres."""
+    """Returns the blue lid at the back of a housing, and the dark gap below it, in meters."""
     way = np.sign(face)
     rim = radius - 0.0010
     profile = [
@@ -128,7 +129,7 @@ def lid(radius: float, face: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0)) ->
 def neck(
     radius: float, tube: float, axis: np.ndarray, origin=(0.0, 0.0, 0.0), width=0.86
 ) -> trimesh.Trimesh:
-    """Return the part of a housing that narrows towards a tube along ``axis``, metres."""
+    """Returns the part of a housing that narrows toward a tube along `axis`, in meters."""
     along = np.linspace(0.45 * radius, radius + COLLAR - BEVEL, 9)
     end = tube + 0.0035
     r = mix(width * radius, end, ramp(along, 0.55 * radius, radius + 0.7 * COLLAR))
@@ -137,14 +138,14 @@ def neck(
 
 
 def tube(radius: float, start, stop) -> trimesh.Trimesh:
-    """Return a plain tube between two points, metres."""
+    """Returns a plain tube between two points, in meters."""
     start, stop = np.asarray(start, float), np.asarray(stop, float)
     length = float(np.linalg.norm(stop - start))
     return revolve([(radius, 0.0), (radius, length)], (stop - start) / length, start, SIDES)
 
 
 def links(arm: UniversalArm) -> dict[str, Parts]:
-    """Return every link's parts (metres, in the link's modified DH frame) by link and colour."""
+    """Returns the parts of every link (meters, modified DH frame) by link and color."""
     return {
         "base": base(arm),
         "link1": shoulder(arm),
@@ -157,7 +158,7 @@ def links(arm: UniversalArm) -> dict[str, Parts]:
 
 
 def base(arm: UniversalArm) -> Table:
-    """Return link 0: foot with bolts, round body, and the plug of the cable."""
+    """Returns link 0: foot with bolts, round body, and the plug of the cable."""
     r, foot = arm.shoulder, arm.foot
     profile = [
         (foot - 0.001, 0.0),
@@ -175,7 +176,7 @@ def base(arm: UniversalArm) -> Table:
 
 
 def shoulder(arm: UniversalArm) -> Table:
-    """Return link 1: upright housing with its lid on top, outlet along axis 2."""
+    """Returns link 1: upright housing with its lid on top, outlet along axis 2."""
     r, low = arm.shoulder, arm.base - arm.d1
     top = r + 0.002
     return merge(
@@ -191,7 +192,7 @@ def shoulder(arm: UniversalArm) -> Table:
 
 
 def upper_arm(arm: UniversalArm) -> Table:
-    """Return link 2: two housings with lids on the outside, and the tube between them."""
+    """Returns link 2: two housings with lids on the outside, and the tube between them."""
     middle = arm.shoulder_offset
     back = middle + 0.92 * arm.half
     end, at = np.array([arm.a2, 0.0, 0.0]), middle * Z
@@ -213,7 +214,7 @@ def upper_arm(arm: UniversalArm) -> Table:
 
 
 def forearm(arm: UniversalArm) -> Table:
-    """Return link 3: round ends beside elbow and wrist, and the tube between them."""
+    """Returns link 3: round ends beside elbow and wrist, and the tube between them."""
     at, end = arm.elbow_offset * Z, np.array([arm.a3, 0.0, 0.0])
     back = arm.elbow_offset - 0.86 * arm.half
     low = arm.elbow_offset - 1.06 * arm.wrist
@@ -232,7 +233,7 @@ def forearm(arm: UniversalArm) -> Table:
 
 
 def wrist_1(arm: UniversalArm) -> Table:
-    """Return link 4: housing about z4 with its lid outside, outlet along y4."""
+    """Returns link 4: housing about z4 with its lid outside, outlet along y4."""
     r, half = arm.wrist, 0.5 * arm.d5
     back = r + 0.003
     return merge(
@@ -245,7 +246,7 @@ def wrist_1(arm: UniversalArm) -> Table:
 
 
 def wrist_2(arm: UniversalArm) -> Table:
-    """Return link 5: housing about z5 with its lid outside, outlet along -y5."""
+    """Returns link 5: housing about z5 with its lid outside, outlet along -y5."""
     r, half = arm.wrist, 0.5 * arm.d5
     back = r + 0.003
     return merge(
@@ -258,7 +259,7 @@ def wrist_2(arm: UniversalArm) -> Table:
 
 
 def wrist_3(arm: UniversalArm) -> Table:
-    """Return link 6: short body with the plug of the tool, and the tool flange."""
+    """Returns link 6: short body with the plug of the tool, and the tool flange."""
     start, r = 0.5 * arm.d5, arm.tool
     top = arm.flange - 0.0065
     body = [

@@ -1,73 +1,30 @@
 """Measures how often the verdicts of `sero-mj compare` are right, by their confidence.
 
     python benchmarks/verdicts [--robots lwr fr3 g3] [--seeds 3] [--kinds KIND ...] [--jobs 2]
-                               [--out out/verdicts]
+                               [--out out/verdicts] [--resume]
 
 Each run has one fault. An independent simulation in plain MuJoCo writes it to a table (see
 `plant`), which the product analyzes with the model, as `compare --against-model` does. Writes
-results.json, reliability.png, reliability.svg and verdicts.md.
+results.jsonl (one line per run), reliability.png, reliability.svg and verdicts.md.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
-import logging
 import sys
-import time
 from concurrent.futures import ProcessPoolExecutor
-from functools import cache
+from multiprocessing import get_context
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the product of this checkout
 
 import report
-from faults import CLEAN, KINDS, make_plant
-from judge import UNEXPLAINED, is_right
-from plant import ROBOTS, load_robot
-
-from sero_mj.base.errors import SeroError
-from sero_mj.cli.arguments import read_recorded_run, read_scene
-from sero_mj.study.explanation import find_explainer
+from faults import CLEAN, KINDS
+from measure import measure
+from plant import ROBOTS
 
 _MORE_CLEAN = 3  # additional seeds of runs without a fault
-Task = tuple[str, str, int]  # robot, kind, seed
-
-
-@cache
-def scene_of(robot: str) -> Any:
-    return read_scene(load_robot(robot).scene)
-
-
-def measure(task: Task) -> dict[str, Any]:
-    """Simulates and analyzes one run, and returns its judged verdicts."""
-    logging.disable(logging.WARNING)
-    robot, kind, seed = task
-    plant, own = make_plant(kind, seed, load_robot(robot))
-    truth = own if plant.robot.is_declared else own.of_undeclared(plant.robot.joints)
-    row: dict[str, Any] = {"robot": robot, "fault": kind, "seed": seed, "error": "", "verdicts": []}
-    with TemporaryDirectory() as folder:
-        file = Path(folder) / "run.csv"
-        plant.run().write(file)
-        start = time.perf_counter()
-        try:
-            run = read_recorded_run(file, None, scene_of(robot))
-            explainer = find_explainer()
-            assert explainer is not None
-            _, verdicts, _ = explainer.with_model(run, robot)
-        except SeroError as error:
-            return {**row, "error": str(error).replace(folder, "")}
-    row["seconds"] = round(time.perf_counter() - start, 2)
-    for each in verdicts:
-        row["verdicts"].append({
-            "joint": each.joint, "kind": each.kind, "part": each.part, "text": each.text,
-            "when": each.when, "confidence": round(each.confidence, 4),
-            "right": is_right(each, truth),
-            "fits": each.kind != UNEXPLAINED and is_right(each, own),
-        })  # fmt: skip
-    return row
 
 
 def main() -> int:
@@ -78,6 +35,7 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", choices=known, default=known, metavar="KIND")
     parser.add_argument("--jobs", type=int, default=2, help="number of processes (default: 2)")
     parser.add_argument("--out", type=Path, default=Path("out/verdicts"))
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
     options = parser.parse_args()
     tasks = [
         (robot, kind, seed)
@@ -85,14 +43,23 @@ def main() -> int:
         for kind in options.kinds
         for seed in range(options.seeds + _MORE_CLEAN * (kind == CLEAN))
     ]
-    rows = []
-    with ProcessPoolExecutor(options.jobs) as pool:
-        for row in pool.map(measure, tasks):
-            rows.append(row)
-            print(f"\r{len(rows)} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "results.json").write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    results = options.out / "results.jsonl"
+    if not options.resume:
+        results.write_text("", "utf-8")
+    rows = [json.loads(line) for line in results.read_text("utf-8").splitlines()]
+    done = {(row["robot"], row["fault"], row["seed"]) for row in rows}
+    tasks = [task for task in tasks if task not in done]
+    # New processes now and then, because the product caches the tables that it has read.
+    with (
+        ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=60) as pool,
+        results.open("a", encoding="utf-8") as file,
+    ):
+        for count, row in enumerate(pool.map(measure, tasks), 1):
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
+            print(f"\r{count} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
     for ending in ("png", "svg"):
         report.draw(rows, options.out / f"reliability.{ending}")
     text = report.whole(rows)

@@ -120,41 +120,49 @@ def confusion(rows: list[Row]) -> str:
 
 
 def draw(rows: list[Row], path: Path) -> None:
-    """Draws the reliability diagram with 95 % Wilson intervals."""
+    """Draws the reliability diagram with 95 % Wilson intervals, and the number of verdicts."""
     robots = list(dict.fromkeys(row["robot"] for row in rows))
     with figure.styled():
         from matplotlib.figure import Figure
 
-        drawn = Figure(figsize=(figure.A4_WIDTH / 25.4, 3.2), dpi=200, layout="constrained")
+        drawn = Figure(figsize=(figure.A4_WIDTH / 25.4, 3.0), dpi=200, layout="constrained")
         panels = drawn.subplots(1, 1 + len(robots), sharey=True, squeeze=False)[0]
         for panel, title in zip(panels, ("all robots", *robots), strict=True):
             mine = [row for row in rows if title in ("all robots", row["robot"])]
-            panel.set_title(title, loc="left", fontsize=7.5)
-            for low, high in zip(EDGES[:-1], (*EDGES[1:-1], 1.0), strict=True):
-                at = bin_of(low)
-                panel.plot([at - 0.45, at + 0.45], [100 * low, 100 * high], color=figure.GREY)
-            for shift, is_named, color in (
-                (-0.12, True, figure.ORANGE),
-                (0.12, False, figure.BLUE),
-            ):
-                for at, (right, count) in enumerate(counts(mine, is_named=is_named)):
-                    if count:
-                        ends = 100 * np.array(wilson(right, count))
-                        share = 100 * right / count
-                        panel.plot([at + shift] * 2, ends, color=color, linewidth=1.0)
-                        name = (
-                            ("named" if is_named else UNEXPLAINED) if at == len(BINS) - 1 else None
-                        )
-                        panel.plot(at + shift, share, "o", color=color, markersize=3, label=name)
-                        panel.annotate(f"{count}", (at + shift, 2), ha="center", fontsize=4.5,
-                                       color=color, rotation=90)  # fmt: skip
-            panel.set_xticks(range(len(BINS)), [each.removesuffix(" %") for each in BINS],
-                             rotation=45, ha="right", fontsize=6)  # fmt: skip
+            _panel(panel, mine)
+            panel.set_title(title, loc="left", fontsize=7.5, pad=16.0)
             panel.set_xlabel("confidence, %")
-            panel.set_ylim(-2, 102)
         panels[0].set_ylabel("right verdicts, %")
-        panels[0].legend(frameon=False, fontsize=6, loc="center left")
+        handles, labels = panels[0].get_legend_handles_labels()
+        drawn.legend(
+            handles, labels, frameon=False, fontsize=6.5, loc="outside lower center", ncols=3
+        )
         drawn.savefig(path)
+
+
+def _panel(panel: Any, rows: list[Row]) -> None:
+    low = 100.0 * np.array(EDGES[:-1])
+    high = np.minimum(100.0 * np.array(EDGES[1:]), 100.0)
+    places = np.arange(len(BINS))
+    panel.bar(places, high - low, 0.9, low, color=figure.FAINT, label="equal to the confidence")
+    for shift, is_named, color in ((-0.15, True, figure.ORANGE), (0.15, False, figure.BLUE)):
+        found = [(at, right, count) for at, (right, count) in
+                 enumerate(counts(rows, is_named=is_named)) if count]  # fmt: skip
+        shares = [100.0 * right / count for _, right, count in found]
+        ends = 100.0 * np.array([wilson(right, count) for _, right, count in found]).reshape(-1, 2)
+        sizes = np.abs(ends.T - np.array(shares))
+        panel.errorbar(
+            [at + shift for at, *_ in found], shares, sizes, fmt="o", color=color, markersize=3.0,
+            elinewidth=0.9, label="named causes" if is_named else UNEXPLAINED,
+        )  # fmt: skip
+        for at, _, count in found:
+            panel.annotate(
+                f"{count}", (at, 107.0 if is_named else 102.5), ha="center", fontsize=5.0,
+                color=color, annotation_clip=False,
+            )  # fmt: skip
+    names = [each.removesuffix(" %") for each in BINS]
+    panel.set_xticks(places, names, rotation=45, ha="right", fontsize=6)
+    panel.set_ylim(-2.0, 101.0)
 
 
 def whole(rows: list[Row]) -> str:

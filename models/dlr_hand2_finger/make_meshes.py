@@ -3,7 +3,7 @@
 An original design with the proportions of the hand: four equal fingers, larger than human fingers.
 Parts of the finger are in the modified Denavit-Hartenberg frames of their links, in meters: x along
 the finger, y of links 2 and 3 in the bending direction, z sideways. The frame of the palm is at the
-wrist: z towards the fingers, x out of the palm, y to the thumb side of a right hand.
+wrist: z toward the fingers, x out of the palm, y to the thumb side of a right hand.
 """
 
 from __future__ import annotations

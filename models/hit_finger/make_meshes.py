@@ -3,7 +3,7 @@
 The joint positions are those of eaa3/dlr_hit_hand_ii. The shapes are an original design. Parts of
 the finger are in the modified Denavit-Hartenberg frames of their links, in meters: x along the
 finger, y of links 2 to 4 in the bending direction, z sideways. The frame of the palm is at the
-wrist: z towards the fingers, x out of the palm, y to the thumb side of a right hand.
+wrist: z toward the fingers, x out of the palm, y to the thumb side of a right hand.
 """
 
 from __future__ import annotations

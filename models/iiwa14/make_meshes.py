@@ -53,7 +53,7 @@ WRIST_5 = Shell(
 )
 
 BALL = 0.068  # radius of link 6, m
-BALL_CUT = -0.042  # position along z6 of its flat face towards link 5, m
+BALL_CUT = -0.042  # position along z6 of its flat face toward link 5, m
 BALL_FACE = 0.054  # position of its flat face under the cap, m
 NECK = 0.044  # radius of link 7, m
 SEAM_7 = 0.081  # distance of seam 7 from the wrist center, m

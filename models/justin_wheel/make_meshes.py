@@ -1,7 +1,7 @@
 """Writes the link meshes of one leg of Justin's platform to `meshes/`: a leg, a fork, a wheel.
 
 An original design. Each part is in the modified Denavit-Hartenberg frame of its link, in meters.
-The frame of the base is on the floor under the steering axis, with x outwards. The frame of link 1
+The frame of the base is on the floor under the steering axis, with x outward. The frame of link 1
 is in the center of the wheel, with z up. z of link 2 is the wheel axis.
 """
 
@@ -28,7 +28,7 @@ def base():
         (0.10, 0.046, 0.050, 3.0, 0.012, 0.0),
         (0.24, 0.052, 0.058, 3.0, 0.0, 0.0),
     ]
-    inwards = (Z, Y, -X)  # u up, v sideways, w towards the platform
+    inwards = (Z, Y, -X)  # u up, v sideways, w toward the platform
     hood = [
         (0.215, 0.058, 0.058, 2.0),
         (0.270, 0.062, 0.062, 2.0),

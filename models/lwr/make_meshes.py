@@ -47,7 +47,7 @@ ELBOW_4 = Shell(0.20, 0.060, 0.067, DISC_GAP, 0.071, 0.024, *BENDS)
 WRIST_5 = Shell(0.19, 0.060, 0.046, 0.038, 0.068, 0.014, (0.040, 0.140), (0.030, 0.150), 0.022)
 
 BALL = 0.057  # radius of the wrist ball, m
-BALL_CUT = -0.036  # position along z6 of its flat face towards link 5, m
+BALL_CUT = -0.036  # position along z6 of its flat face toward link 5, m
 BALL_FACE = 0.046  # position of its flat face under the cap, m
 NECK = 0.0345  # radius of link 7, m; small enough to clear link 5
 
@@ -89,7 +89,7 @@ def links() -> dict[str, dict[str, list[trimesh.Trimesh]]]:
 
 
 def wrist() -> dict[str, list[trimesh.Trimesh]]:
-    """Returns link 6 in its frame (meters): ball cut flat towards link 5, neck along y6, cap."""
+    """Returns link 6 in its frame (meters): ball cut flat toward link 5, neck along y6, cap."""
     return wrist_ball(BALL, BALL_CUT, BALL_FACE, NECK, 0.057, Y)
 
 

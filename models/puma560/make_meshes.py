@@ -122,7 +122,7 @@ def forearm() -> Parts:
         (FOREARM - 0.078, 0.041, 0.041, 2.2),
         (FOREARM - 0.066 - GAP, 0.040, 0.040, 2.0),
     ]
-    face = -HALF + 0.001  # towards the upper arm, whose z is -y here
+    face = -HALF + 0.001  # toward the upper arm, whose z is -y here
     return merge(
         {
             "white": [loft(stations, (X, Y, Z), edges=(0.022, 0.002), steps=4, sides=48)],

@@ -24,7 +24,7 @@ _GAIN, SHARE, _FACTOR = 1.0, 0.1, 1.3
 _DELAY_RANGE, _LEVEL_RANGE = (0.4, 2.0), (0.8, 1.25)
 _MAX_GAIN = 2.6  # maximum deviation from 1
 MIN_SIGN = 1.3  # minimum deviation from 1 of a gain that is reported as a wrong sign
-_TRIED_DELAYS = (0.002, 0.005, 0.01, 0.02, 0.035, 0.05, 0.07, 0.1)  # s, then refined
+_TRIED_DELAYS = (0.003, 0.008, 0.02, 0.04, 0.07, 0.1)  # s, then refined
 # Tried torques at which a drive saturates, as shares of the largest command, then refined.
 _TRIED_LEVELS = np.geomspace(0.05, 0.95, 20)
 _LEVEL_STEPS = (0.93, 0.98, 0.995, 1.005, 1.02, 1.07)
@@ -198,7 +198,7 @@ def _saturated(found: TorqueResiduals, share: float) -> JointEffect:
 
     return JointEffect(
         "saturation", "drive", np.full((found.robot.n, 1), _FACTOR),
-        size, columns=[(np.zeros_like(excess), excess)], allowed=_LEVEL_RANGE,
+        size, is_constant=True, columns=[(np.zeros_like(excess), excess)], allowed=_LEVEL_RANGE,
         variants=lambda _: [_saturated(found, share * step) for step in _LEVEL_STEPS],
     )  # fmt: skip
 

@@ -15,11 +15,26 @@ Each kind has a distinct signature in the residuals of the link and motor side o
     flange          payload          link: linear in ten parameters, all joints together
     links           masses s         link s x, all joints together, during the whole run
     encoder         offset o         link -o dx/dq, all joints together
+                    scale k          link -k q dx/dq, all joints together
+    joint           friction drift                       motor (f sign(dq) + v dq) (t - t0)
+                    load friction f                      motor f |x| sign(dq)
+                    spring           link: polynomial of q
+                    elasticity k     link -(x dx/dq + M d2x/dt2) / k, all joints together
+                    backlash b       link -b/2 sign(x) dx/dq, all joints together
+    drive           motor inertia B                      motor B ddq
+                    saturation L                         motor u - clip(u, L)
+    one link        mass, center     link: linear in mass or first moment, all joints together
+    base            tilt             link: linear in gravity, all joints together
+    flange, link    force F          link -J^T F, all joints together
+    commands        clock d, r                           motor -(d + r t) du/dt, all joints
+                    gravity c                            motor c g(q), all joints
 
-Each kind is fitted for all begin and end times. The kind and the times with the lowest Bayesian
-information criterion (Schwarz 1978) are selected; the confidence results from the odds against the
-other kinds. The explanation is subtracted from the residuals, and the search continues. Differences
-below 0.05 % of a joint's torque limit are not reported.
+Faults of the log itself are searched first (see `log_faults`). Then each kind is fitted for all
+begin and end times. The kind and the times with the lowest Bayesian information criterion (Schwarz
+1978) are selected; the confidence results from the odds against the other kinds, and from the share
+of torque that remains unexplained (see `goodness`). The explanation is subtracted from the
+residuals, and the search continues. Differences below 0.05 % of a joint's torque limit are not
+reported.
 """
 
 from __future__ import annotations

@@ -9,13 +9,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from math import erf
 from typing import Any
 
 import numpy as np
 
 from ...base.frames import Array, Bools
 from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part
+from .edges import Edges, Sums, SumsOfPair
 from .effects import (
     MIN_SIGN,
     SHARE,
@@ -28,7 +28,6 @@ from .effects import (
 from .goodness import limited, unexplained_share
 from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 
-_erf = np.vectorize(erf)
 MIN_EFFECT = 5e-4  # share of the torque limit; root mean square while the fault acts
 MIN_ROWS = 8  # minimum number of rows in an interval
 # Noise floor as a share of the torque limit, as a share of the torque, and in s of its rate.
@@ -49,7 +48,6 @@ _MIN_VARIANCE = 1e-3  # of residuals in units of their standard deviations
 # Minimum number of differing joints for also fitting a payload without one of them, and maximum
 # number of these fits.
 _MIN_JOINTS, _MAX_TRIED = 3, 2
-_GRID, _ROUNDS_OF_EDGES = 18, 3
 _ROUNDS_OF_VALUES, _EXACT = 6, 0.02  # refinements, and factor minus 1 of an exact value
 _RESIDUAL_RATIO = 0.1  # ratio of squared residuals below which an explanation is far better
 _UNEXPLAINED = 0.002  # share of the torque limit
@@ -69,7 +67,7 @@ class _Fit:
     effect: JointEffect | CommonEffect | None
     columns: Array  # (2, K, n, p), in units of the residuals' standard deviations
     priors: Array  # (p,)
-    edges: tuple[int, int]  # in half rows, see `_Edges`
+    edges: tuple[int, int]  # in half rows, see `Edges`
     gain: float  # improvement of the score over no explanation
     parameters: Array
     errors: Array
@@ -84,75 +82,6 @@ class _Fit:
     @property
     def is_on_link(self) -> bool:
         return self.part == "joint"
-
-
-class _Edges:
-    """Begin and end times of an effect in half rows, after the low-pass filter.
-
-    Edge 0 is the start and edge 2 K - 1 the end; edge e is at e / 2 rows. The filter converts a
-    step to the integral of a Gaussian. `sharpness` is the inverse of the filter's width in rows.
-    """
-
-    def __init__(self, rows: int, sharpness: float) -> None:
-        self.rows, self.end = rows, 2 * rows - 1
-        distance = np.arange(rows)[None, :] - 0.5 * np.arange(2 * rows)[:, None]
-        self._on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
-        self._on[0], self._on[-1] = 1.0, 0.0
-
-    def share(self, first: int, last: int) -> Array:
-        # The filtered share of an effect between two edges, (K,).
-        return np.asarray(self._on[first] - self._on[last])
-
-    def sums(self, X: Array, y: Array) -> _Sums:
-        # Normal equations between any two edges, for columns X (c, K, p) and data y (c, K).
-        K, p = X.shape[1:]
-        squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
-        products = np.einsum("ckp,ck->kp", X, y)
-        known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
-        # The share before the last edge is 1 minus the share after it.
-        begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
-        return _Sums(
-            begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
-        )
-
-    def weighted(self, values: Array) -> Array:
-        # Sums of values (K, ...) after each edge, (E, ...).
-        return np.tensordot(self._on, values, axes=1)
-
-    def best(self, scores: Any) -> tuple[int, int, float]:
-        # Returns the best edges and their score; `scores` takes arrays of edges. A temporary effect
-        # is not visible with its begin alone, so a grid of pairs is tried first.
-        grid = np.unique(np.linspace(0, self.end, _GRID).astype(int))
-        pairs = np.array([(i, j) for i in grid for j in grid if i < j]).T
-        found = scores(*pairs)
-        first, last = pairs[:, int(np.argmax(found))].tolist()
-        score = -np.inf
-        for _ in range(_ROUNDS_OF_EDGES):
-            firsts = np.arange(last)
-            found = scores(firsts, np.full(len(firsts), last))
-            first = int(np.argmax(found))
-            lasts = np.arange(first + 1, self.end + 1)
-            found = scores(np.full(len(lasts), first), lasts)
-            last = int(lasts[np.argmax(found)])
-            if found.max() <= score:
-                break
-            score = float(found.max())
-        return first, last, score
-
-
-@dataclass(frozen=True, eq=False)
-class _Sums:
-    begun: Array  # (E, p, p)
-    ended: Array  # (E, p, p)
-    products: Array  # (E, p)
-    known: Array  # (E,)
-
-    def between(self, first: Any, last: Any) -> tuple[Array, Array, Array]:
-        return (
-            self.begun[first] - self.ended[last],
-            self.products[first] - self.products[last],
-            self.known[first] - self.known[last],
-        )
 
 
 class Search:
@@ -187,7 +116,7 @@ class Search:
         self.left = self.y.copy()
         self.count = np.maximum(self.known.sum(axis=(0, 1)), 1)  # (n,)
         self.facts = np.maximum(self.count / _ROWS_PER_FACT, 2.0)
-        self.edges = _Edges(len(found.times), found.step / found.width)
+        self.edges = Edges(len(found.times), found.step / found.width)
         self.undeclared = self._undeclared()
         self.fits: list[_Fit] = []
         if self.undeclared:
@@ -242,7 +171,13 @@ class Search:
         tried: list[_Fit] = []
         for common, X in self._commons():
             y = self.left[common.side]
-            sums = [self.edges.sums(X[None, :, j], y[None, :, j]) for j in range(self.n)]
+            of_joints = [(X[None, :, j], y[None, :, j]) for j in range(self.n)]
+            if common.is_constant:
+                pair = 0, self.edges.end
+                sums: list[Sums] | list[SumsOfPair]
+                sums = [self.edges.sums_of_pair(*each, pair) for each in of_joints]
+            else:
+                sums = [self.edges.sums(*each) for each in of_joints]
             found = [self._of_all_joints(common, X, sums, joint) for joint in without]
             tried += sorted((fit for fit in found if fit), key=lambda fit: -fit.gain)[:_MAX_TRIED]
         tried.sort(key=lambda fit: -fit.gain)
@@ -322,9 +257,12 @@ class Search:
         scaled = columns / self.sigma[:, :, joint, None]
         X = np.where(self.known[:, :, joint, None] & np.isfinite(scaled), scaled, 0.0)
         y, priors = self.left[:, :, joint], candidate.priors[joint]
-        sums, inverse = self.edges.sums(X, y), np.diag(1.0 / priors**2)
+        if candidate.is_constant:
+            edges = (0, self.edges.end)
+        sums = self.edges.sums(X, y) if edges is None else self.edges.sums_of_pair(X, y, edges)
+        inverse = np.diag(1.0 / priors**2)
         total, count, facts = float((y * y).sum()), self.count[joint], self.facts[joint]
-        absorbed = self._absorbed(joint, X)
+        absorbed = self._absorbed(joint, X, edges)
 
         def scores(first: Any, last: Any) -> Array:
             H, g, rows = sums.between(first, last)
@@ -338,8 +276,6 @@ class Search:
             better = _evidence(total, total - np.clip(gains, 0.0, total), count, facts) - price
             return np.where(rows >= MIN_ROWS, better, -np.inf)
 
-        if candidate.is_constant:
-            edges = (0, self.edges.end)
         if edges is None:
             first, last, gain = self.edges.best(scores)
         else:
@@ -358,12 +294,18 @@ class Search:
         return _Fit(joint, candidate.kind, candidate.part, candidate, whole, priors, (first, last),
                     gain, parameters, errors)  # fmt: skip
 
-    def _absorbed(self, joint: int, X: Array) -> Callable[[Any, Any], Any]:
+    def _absorbed(
+        self, joint: int, X: Array, edges: tuple[int, int] | None
+    ) -> Callable[[Any, Any], Any]:
         # The part of X' X between two edges that undeclared friction would explain as well.
         if not self.undeclared:
             return lambda first, last: 0.0
         N, priors = self.undeclared[joint].columns[:, :, joint], self.undeclared[joint].priors
         inverse = np.linalg.inv(np.einsum("ckp,ckq->pq", N, N) + np.diag(1.0 / priors**2))
+        if edges is not None:
+            one = np.einsum("ckp,ckq,k->pq", X, N, self.edges.share(*edges))
+            of_pair = one @ inverse @ one.T
+            return lambda first, last: of_pair
         cross = self.edges.weighted(np.einsum("ckp,ckq->kpq", X, N))
 
         def between(first: Any, last: Any) -> Array:
@@ -417,7 +359,7 @@ class Search:
         return [self._common_effects[k] for k in sorted(best)]
 
     def _of_all_joints(
-        self, common: CommonEffect, X: Array, sums: list[_Sums], without: int | None
+        self, common: CommonEffect, X: Array, sums: Sequence[Sums | SumsOfPair], without: int | None
     ) -> _Fit | None:
         used = np.arange(self.n) != (-1 if without is None else without)
         inverse = np.diag(1.0 / common.priors**2)
@@ -444,7 +386,9 @@ class Search:
             first, last, gain = self.edges.best(scores)
         if not gain > _MIN_SCORE:
             return None
-        parts = [sums[j].between(first, last) for j in np.flatnonzero(used)]
+        parts = [
+            each.between(first, last) for each, is_used in zip(sums, used, strict=True) if is_used
+        ]
         H, g = (
             np.sum([part[0] for part in parts], axis=0),
             np.sum([part[1] for part in parts], axis=0),

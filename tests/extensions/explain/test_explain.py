@@ -19,8 +19,8 @@ from runs import HOME, record_packets, record_run, two_joints
 from sero_mj.base.errors import UsageError
 from sero_mj.base.frames import Array
 from sero_mj.cli import main
+from sero_mj.extensions.explain.edges import Edges, _erf
 from sero_mj.extensions.explain.explain import explain, explain_run, explain_runs
-from sero_mj.extensions.explain.explain_search import _Edges, _erf
 from sero_mj.extensions.explain.link_torques import body_torques, link_torques, torques_by_angle
 from sero_mj.extensions.explain.torque_residuals import (
     _jumps,
@@ -369,7 +369,7 @@ def test_perfect_run_has_no_residuals() -> None:
 
 def test_edge_sums_equal_direct_sums() -> None:
     rng = np.random.default_rng(2)
-    edges, X, y = _Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
+    edges, X, y = Edges(30, 1.9), rng.normal(size=(2, 30, 3)), rng.normal(size=(2, 30))
     sums = edges.sums(X, y)
     for first, last in ((0, 59), (0, 31), (17, 59), (14, 40)):
         H, g, _ = sums.between(first, last)

@@ -46,6 +46,13 @@ def test_torques_without_fault_are_those_of_inverse_dynamics(plants: ModuleType,
         assert residual.std(axis=0) == pytest.approx(NOISE * robot.limits, rel=0.2)
 
 
+def test_plain_urdf_without_a_fault_has_no_verdict(plants: ModuleType) -> None:
+    # Its friction and motor inertia are not declared, so they are fitted to the recording.
+    benchmark = import_script(FOLDER / "measure.py")
+    row = benchmark.measure(("g3", "none", 0))
+    assert (row["error"], row["verdicts"]) == ("", [])
+
+
 def test_fault_acts_on_its_side_only(plants: ModuleType, faults: ModuleType) -> None:
     robot = plants.load_robot("lwr")
     for name, is_on_link in (("friction_less", False), ("payload", True)):
