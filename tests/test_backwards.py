@@ -181,8 +181,8 @@ def test_robot_that_follows_another_needs_no_packet() -> None:
 @pytest.mark.parametrize(
     ("origin", "structure", "message"),
     [
-        ("udp.values0", "9F", "values0 has 9 values; lwr.joint_angles takes 3, one per joint"),
-        ("udp.values0[6:9]", "8F", "values0 has 8 values; lwr.joint_angles is udp.values0[6:9]"),
+        ("udp.values0", "9F", "values0 has 9 values, but lwr.joint_angles takes 3, one per joint"),
+        ("udp.values0[6:9]", "8F", "values0 has 8 values, but lwr.joint_angles is udp.values0[6:9]"),
     ],
 )
 def test_other_structure_without_the_routed_values_is_rejected(
