@@ -119,7 +119,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
             "found 2 entries",
         ),
         (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
-        (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers, but lwr has 7 joints"),
+        (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers, but lwr has 7"),
         (
             ["check", "--fk", "lwr", "--joint-angles", "1,x"],
             "found '1,x'; expected numbers separated by commas",
