@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
@@ -42,7 +43,8 @@ def main() -> int:
         for seed in range(options.seeds + _MORE_CLEAN * (kind == CLEAN))
     ]
     rows = []
-    with ProcessPoolExecutor(options.jobs) as pool:
+    quiet = {"initializer": logging.disable, "initargs": (logging.WARNING,)}
+    with ProcessPoolExecutor(options.jobs, **quiet) as pool:
         for row in pool.map(measure, tasks):
             rows.append(row)
             print(f"\r{len(rows)} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)
