@@ -205,7 +205,7 @@ def test_rendered_images_follow_unless_a_path_sets_the_position(justin: World, t
 def test_orbit_is_rejected_for_a_fixed_camera() -> None:
     cameras = {"front": Camera(position=[2.0, 0.0, 1.0])}
     world = World(Scene(robots=[SerialRobot.from_model("lwr")], cameras=cameras))
-    told = "--orbit: cannot move camera 'front'; expected the free camera"
+    told = "--orbit cannot move camera 'front'; expected the free camera"
     with (
         HeadlessRenderer(world, 32, 24, "front", "draft") as renderer,
         pytest.raises(UsageError, match=told),

@@ -183,13 +183,13 @@ def test_incomparable_runs_are_rejected() -> None:
     ):
         align(a, other, "arm,leh")
     both = RunLog({**a.robots, **other.robots}, {**a.signals, **other.signals}, a.times, "both")
-    with raises_with(UsageError, reason="both runs have arm, leg; choose with --robot NAME"):
+    with raises_with(UsageError, reason="both runs have arm, leg; choose one with --robot NAME"):
         align(both, both)
     assert align(both, both, "leg").robot.name == "leg"
     third = RunLog({"x": two_joints("x"), "y": two_joints("y")}, {}, a.times, "third")
     with raises_with(
         UsageError,
-        reason="a has arm, third has x, y: no common robot; choose with --robot NAME,NAME",
+        reason="a has arm, third has x, y: no common robot; choose a pair with --robot NAME,NAME",
     ):
         align(a, third)
     lwr = simulated().log
@@ -317,7 +317,7 @@ def test_several_recordings_have_one_row_each(
     asked = ["--tolerance-angle", 0.05, "--table", table]
     assert command(soft, stiff, soft, broken, *asked) == 2
     shown = capsys.readouterr()
-    assert f"{stiff}: " in shown.err and "differs by" in shown.err and f"{broken}: is" in shown.err
+    assert f"{stiff}: " in shown.err and "differs by" in shown.err and f"{broken} is" in shown.err
     names = [str(path) for path in (stiff, soft, broken)]
     title, _, *lines = shown.out.splitlines()
     assert title.strip() == f"each minus {soft}"
@@ -349,7 +349,7 @@ def test_several_recordings_have_one_row_each(
             ["--each", "a", "b", "--offset", "auto"],
             "--offset cannot be combined with --each",
         ),
-        (["a", "b", "c"], "a: cannot be read: No such file"),
+        (["a", "b", "c"], "a cannot be read: No such file"),
         (["a", "b", "--csv", "b.mcap"], "expected a name that ends in .csv"),
         (["--each", "a", "--tolerance-angle", "1"], "--tolerance-angle cannot be combined with"),
     ],

@@ -59,7 +59,7 @@ def test_imported_file_is_opened_by_its_suffix_and_used_in_scenes(sdf: Path) -> 
     assert ": no errors" in run(sdf, "", "check", SDF.name)
     (sdf / "wrong.sdf").write_text("<robot name='x'/>")
     output = run(sdf, "", "check", "wrong.sdf", code=2)
-    assert output.endswith("/wrong.sdf: is a URDF file; expected a file of the importer 'sdf'\n")
+    assert output.endswith("/wrong.sdf is a URDF file; expected a file of the importer 'sdf'\n")
 
 
 @pytest.mark.parametrize(
@@ -105,7 +105,7 @@ def test_import_of_an_unconvertible_format_suggests_a_scene(sdf: Path) -> None:
 def test_file_format_is_named_without_its_importer_package(tmp_path: Path) -> None:
     (tmp_path / SDF.name).write_bytes(SDF.read_bytes())
     output = run(tmp_path, "", "check", SDF.name, code=2)
-    assert output.startswith(f"sero-mj: {SDF.name}: is an SDF file; expected a TOML file")
+    assert output.startswith(f"sero-mj: {SDF.name} is an SDF file; expected a TOML file")
 
 
 @pytest.fixture

@@ -229,7 +229,7 @@ def test_mesh_that_mujoco_rejects_is_named(tmp_path):
     robot = SerialRobot(name="arm", dh_convention="craig", dh_params=[[0, 0, 0, 0.2]], **fields)
     with raises_with(
         key="robots.arm.filenames.1",
-        reason=f"mesh {tmp_path}/flat.stl: has fewer than 4 distinct vertices",
+        reason=f"mesh {tmp_path}/flat.stl has fewer than 4 distinct vertices",
     ):
         World(Scene(robots=[robot]), dynamic=True)
     sheet = CORNERS[[0, 1, 2, 3]]

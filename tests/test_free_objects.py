@@ -149,7 +149,7 @@ def test_only_solid_objects_can_have_a_mass() -> None:
     ("expect", "reason"),
     [
         ({"measure": "height", "above": 1}, "expect.e.measure: 'height' requires "),
-        ({"measure": "velocity", "object": "can", "below": 1}, "expect.e: object: requires "),
+        ({"measure": "velocity", "object": "can", "below": 1}, "expect.e: `object` requires "),
         ({"measure": "tilt", "object": "cam", "below": 1},
          "expect.e.object: no object 'cam'; did you mean 'can'?"),
         ({"measure": "tilt", "object": "table", "below": 1},

@@ -272,7 +272,7 @@ model = "hand"
         ),
         Problem(
             "groups.k.model",
-            "no model of a group 'hnd'; did you mean 'hand'?",
+            "no model 'hnd' of a group; did you mean 'hand'?",
             file="scene.toml",
             line=9,
         ),
@@ -356,7 +356,7 @@ def test_single_invalid_group_is_the_only_error(folder: Path) -> None:
     assert scene_problems(folder, '[groups.h]\nmodel = "hnd"\n') == [
         Problem(
             "groups.h.model",
-            "no model of a group 'hnd'; did you mean 'hand'?",
+            "no model 'hnd' of a group; did you mean 'hand'?",
             file="scene.toml",
             line=2,
         )
@@ -370,7 +370,7 @@ def test_fk_and_check_list_the_robots_of_a_group(
         with pytest.raises(SystemExit, match="2"):
             main(["check", "--fk", str(name)])
         assert capsys.readouterr().err == (
-            f"sero-mj: {name}: has 3 robots; expected --of with one of hand_index, hand_thumb, "
+            f"sero-mj: {name} has 3 robots; choose one with --of: hand_index, hand_thumb, "
             "hand_nail\n"
         )
     changed(folder, "hand/group.toml", 'mount = "thumb', 'couplings.J2.to = "J1"\nmount = "thumb')

@@ -491,7 +491,7 @@ def test_wrong_inputs_of_groups_are_reported_by_the_group_name() -> None:
          "justin.joint_angles: found [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, nan]; expected 9 finite "
          f"numbers {each}"),
         ("justin.torques", "no", f"justin.torques: found 'no'; expected 9 numbers {each}"),
-        ("justin.torqes", [0.0] * 9, "no input of justin 'torqes'; did you mean 'torques'?"),
+        ("justin.torqes", [0.0] * 9, "no input 'torqes' of justin; did you mean 'torques'?"),
         ("justn.torques", [0.0] * 9, "no robot 'justn'; did you mean 'justin'?"),
         ("arms.flange_check", np.eye(4),
          "arms.flange_check: one frame cannot set flange_check of several robots (left, right); "

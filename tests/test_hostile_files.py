@@ -111,7 +111,7 @@ def test_files_above_the_size_limit_and_special_files_are_not_opened(
 
 
 def test_pipe_is_rejected_as_recording(pipe: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    expected = f"{pipe}: cannot be read: is a pipe; expected a file"
+    expected = f"{pipe} cannot be read: found a pipe; expected a file"
     for opened in (Recording, read_run):
         with pytest.raises(RecordingError) as found:
             opened(pipe)
@@ -134,7 +134,7 @@ def test_pipe_is_rejected_as_recording(pipe: Path, capsys: pytest.CaptureFixture
 def test_pipe_is_reported_where_a_file_is_expected(tmp_path: Path, name: str) -> None:
     """A pipe used to be reported as missing, with its own name as the suggestion."""
     os.mkfifo(tmp_path / name)
-    expected = f"{tmp_path / name}: cannot be read: is a pipe; expected a file"
+    expected = f"{tmp_path / name} cannot be read: found a pipe; expected a file"
     for find in (find_scene, find_scenario, find_model, find_group_model):
         with pytest.raises(DeclarationError) as found:
             find(str(tmp_path / name))
@@ -183,7 +183,7 @@ def test_infinite_meshes_mjcf_files_and_tables_are_rejected(
         ("mjcf", "piece.xml", "cannot be read:"),
     ):
         scene = Scene(objects=[Object(name="o", directory=str(tmp_path), **{field: file})])
-        reason = f"{what} {tmp_path / file}: is a device; expected a file"
+        reason = f"{what} {tmp_path / file}: found a device; expected a file"
         with raises_with(key=f"objects.o.{field}", reason=reason):
             World(scene)
     with raises_with(
@@ -191,7 +191,7 @@ def test_infinite_meshes_mjcf_files_and_tables_are_rejected(
     ):
         as_spec("nothing.xml", tmp_path)
     with raises_with(
-        reason="cannot be read: is a device; expected a file", file=f"{tmp_path}/scene.toml"
+        reason="cannot be read: found a device; expected a file", file=f"{tmp_path}/scene.toml"
     ):
         read_toml(endless("scene.toml"))
 
@@ -204,7 +204,7 @@ def test_keys_with_thousands_of_dots_are_rejected(tmp_path: Path, key: str) -> N
     file.write_text(f"b = 1\n{start}{dotted * 20_000}c = 1\n")
     with pytest.raises(DeclarationError) as found:
         read_toml(file)
-    expected = "is not TOML: expected at most 100 parts of a dotted key (at line 2)"
+    expected = "not valid TOML: expected at most 100 parts of a dotted key (at line 2)"
     assert str(found.value) == f"{file}:2: {expected}"
 
 
@@ -340,7 +340,7 @@ def test_infinite_meshes_in_mjcf_are_rejected(
         '<geom type="mesh" mesh="m"/></worldbody></mujoco>'
     )
     with raises_with(
-        key="mjcf", reason=f"cannot be read: {tmp_path}/mesh.stl: is a device; expected a file"
+        key="mjcf", reason=f"cannot be read: {tmp_path}/mesh.stl: found a device; expected a file"
     ):
         as_spec(text, tmp_path)
 

@@ -170,7 +170,7 @@ def test_many_small_bombs_take_little_memory_each(tmp_path: Path) -> None:
         ({"kind": "table"}, "source 'arm': no kind 'table'"),
         (
             {"declared": {"structre": "2F"}},
-            "how source 'arm' is decoded: structure: is required; "
+            "how source 'arm' is decoded: structure is required; "
             "structre: unknown key; did you mean 'structure'?",
         ),
         (

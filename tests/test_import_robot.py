@@ -143,12 +143,12 @@ def test_fk_and_check_accept_urdf_files(folder: Path, capsys) -> None:
     [
         (["no.urdf"], "no.urdf: no such file"),
         (["robot.toml"], "FILE: expected a name that ends in .urdf, .xacro, .xml"),
-        (["arm.usda"], "arm.usda: is a USD file; expected URDF, xacro or MJCF"),
-        (["ball.urdf"], "ball.urdf:1: robot: has no movable joint"),
+        (["arm.usda"], "arm.usda is a USD file; expected URDF, xacro or MJCF"),
+        (["ball.urdf"], "ball.urdf:1: robot has no movable joint"),
         (["tree.urdf", "--arg", "ur5e"], "--arg: found 'ur5e'; expected NAME=VALUE"),
         (["no.xml"], "no.xml: no such file"),
-        (["sdf.xml"], "sdf.xml: is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),
-        (["text.xml"], "text.xml: is not XML"),
+        (["sdf.xml"], "sdf.xml is an SDF file; expected URDF (<robot>) or MJCF (<mujoco>)"),
+        (["text.xml"], "text.xml is not XML"),
         (
             ["fig7.x3d"],
             "fig7.x3d: found a scene; expected a robot in URDF or MJCF. "
@@ -198,7 +198,7 @@ def test_fk_accepts_scenes(capsys) -> None:
     )
     assert "difference: " in capsys.readouterr().out
     for arguments, message in (
-        (("lwr_hit_hand",), "lwr_hit_hand: has 6 robots; expected --of with one of arm, hand_"),
+        (("lwr_hit_hand",), "lwr_hit_hand has 6 robots; choose one with --of: arm, hand_"),
         (
             ("lwr_hit_hand", "--of", "foot"),
             "lwr_hit_hand has no robot 'foot'; available: arm",

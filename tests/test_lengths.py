@@ -140,7 +140,7 @@ def test_file_of_another_format_is_reported_with_its_format(
     with pytest.raises(SystemExit) as ended:
         main(["view", str(file), "--web"])
     assert ended.value.code == 2
-    said = f"sero-mj: {file}: is {expected}; expected a TOML file: a robot is a Denavit-Hartenberg"
+    said = f"sero-mj: {file} is {expected}; expected a TOML file: a robot is a Denavit-Hartenberg"
     err = capsys.readouterr().err
     assert err.startswith(said)
     assert "or URDF or MJCF in .urdf or .xml" in err

@@ -314,7 +314,7 @@ def test_single_robot_is_on_the_floor(path):
     ("text", "message"),
     [
         ("<mujoco/>", "has no hinge and no slide; expected a robot with joints"),
-        ("<mujoco><worldbody><body/></mujoco>", "bad.xml: cannot be read: XML parse error"),
+        ("<mujoco><worldbody><body/></mujoco>", "bad.xml cannot be read: XML parse error"),
         (
             ALONE.format('<joint type="ball"/><geom size="1"/>'),
             "has no hinge and no slide",

@@ -121,7 +121,7 @@ def test_broken_link_is_reported(elsewhere):
     Path("x.toml").symlink_to("gone.toml")
     with pytest.raises(DeclarationError) as caught:
         paths.find_scene("x.toml")
-    assert str(caught.value) == "x.toml: is a link to gone.toml, which does not exist"
+    assert str(caught.value) == "x.toml is a link to gone.toml, which does not exist"
 
 
 @pytest.mark.parametrize("find", [paths.find_model, paths.find_scene])
@@ -141,8 +141,8 @@ def test_nearest_name_ignores_case_and_must_be_similar():
 
 def test_problem_contains_known_file_line_key_and_message():
     assert str(Problem("", "is wrong")) == "is wrong"
-    assert str(Problem("a.b", "is wrong", "f.toml")) == "f.toml: a.b: is wrong"
-    assert str(Problem("a.b", "is wrong", "f.toml", 3)) == "f.toml:3: a.b: is wrong"
+    assert str(Problem("a.b", "is wrong", "f.toml")) == "f.toml: a.b is wrong"
+    assert str(Problem("a.b", "is wrong", "f.toml", 3)) == "f.toml:3: a.b is wrong"
     assert Problem("b", "is wrong", "f.toml", 3).inside("a") == Problem(
         "a.b", "is wrong", "f.toml", 3
     )
@@ -456,4 +456,4 @@ def test_model_in_another_format_is_reported_with_its_format(elsewhere, name, te
     scene = write(elsewhere / "s.toml", f'[robots.arm]\nmodel = "{name}"')
     with pytest.raises(DeclarationError) as caught:
         load_scene(scene)
-    assert f"{name}: is {what}; expected a file that ends in .toml, .urdf" in str(caught.value)
+    assert f"{name} is {what}; expected a file that ends in .toml, .urdf" in str(caught.value)

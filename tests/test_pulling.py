@@ -157,13 +157,13 @@ def test_invalid_saves_and_grabs_are_rejected(tmp_path: Path) -> None:
     [
         ("extends = 3", "extends: found 3; expected the name or file of a scenario"),
         ('extends = "impedance_pusch"', "did you mean 'impedance_push'"),
-        ('extends = "own.toml"', "extends: found own.toml, which itself extends this file"),
+        ('extends = "own.toml"', "extends: found own.toml, which extends this file"),
         ('extends = "impedance_push"\nset = 3', "set: found 3; expected a table"),
         ('extends = "impedance_push"\n[robots.b]\nmodel = "lwr"',
-         "own.toml:2: robots: can only be changed in [set] of a scenario that extends "),
+         "own.toml:2: robots can only be changed in [set] of a scenario that extends "),
         ('extends = "impedance_push"\n[disturbances.a]\nkind = "force"\nat = "lwr/flansch"\n'
          "force = [0, 0, 1]", "own.toml:4: disturbances.a.at: no frame 'lwr/flansch'"),
-        ('[set]\n"run.seed" = 3\n[run]', "set: requires `extends`"),
+        ('[set]\n"run.seed" = 3\n[run]', "set requires `extends`"),
     ],
 )  # fmt: skip
 def test_errors_in_a_scenario_that_extends_another_are_reported(
@@ -178,8 +178,8 @@ def test_errors_in_a_scenario_that_extends_another_are_reported(
 @pytest.mark.parametrize(
     ("fields", "expected"),
     [
-        ({"force": [0, 0, 1]}, "samples: cannot be combined with force"),
-        ({"end": None}, "end: is required"),
+        ({"force": [0, 0, 1]}, "samples cannot be combined with force"),
+        ({"end": None}, "end is required"),
         ({"samples": [[0.1, 0, 0, 1]]}, "samples: found times [0.1]; expected 0 at first"),
         ({"samples": [[0.0, 0, 0], [1, 1, 1]]}, "found 2 x 3; expected n x 4 numbers"),
     ],

@@ -195,7 +195,7 @@ def test_invalid_calls_raise_errors(tmp_path: Path) -> None:
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/a.mcap",
-        reason="exists already. Choose another name, or remove it",
+        reason="already exists. Choose another name, or remove it",
     ):
         begin(tmp_path / "a.mcap")
 

@@ -184,10 +184,10 @@ def test_decoding_fields_reproduce_the_layout() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({"file": "none.mcap"}, "file: none.mcap: cannot be read: No such file or directory"),
+        ({"file": "none.mcap"}, "file: none.mcap cannot be read: No such file or directory"),
         ({"file": 7}, "file: found 7; expected the name of a recording, such as REC.mcap"),
         ({"source": "upd"}, "source: no source 'upd' in {file}; did you mean 'udp'?"),
-        ({"structure": "7F"}, "structure: is declared in the recording. Leave it out"),
+        ({"structure": "7F"}, "structure is declared in the recording. Remove it"),
         ({"speed": 0.0}, "speed: found 0;"),
     ],
 )
@@ -209,7 +209,7 @@ def test_missing_file_is_reported_by_open(
     with raises_with(
         SourceError,
         source="replay",
-        reason=f"{tmp_path}/run.mcap: cannot be read: No such file or directory",
+        reason=f"{tmp_path}/run.mcap cannot be read: No such file or directory",
     ):
         replay.open()
 
@@ -258,7 +258,7 @@ def test_commands_record_render_and_export(
     with pytest.raises(SystemExit) as caught:
         main(["record", str(scene), str(run), "--duration", "1"])
     assert caught.value.code == 2
-    assert "run.mcap: exists already. Choose another name, or remove it" in capsys.readouterr().err
+    assert "run.mcap already exists. Choose another name, or remove it" in capsys.readouterr().err
     with pytest.raises(SystemExit) as caught:
         main(["render", "lwr", "--replay", str(run), "-o", str(film)])
     assert caught.value.code == 2

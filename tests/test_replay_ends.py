@@ -83,7 +83,7 @@ def test_empty_time_ranges_of_options_are_reported(
     refused("render", scene, "-o", tmp_path / "x.png", "--replay", recording, "--start", 99)
     assert "sero-mj: --start: found 99; the recording ends at 1.00 s" in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 0.5, "--to", 0.2)
-    reported = "sero-mj: --to: found 0.2; expected a time after --from, s"
+    reported = "sero-mj: --to: found 0.2; expected more than --from"
     assert reported in capsys.readouterr().err
     refused("export", recording, tmp_path / "x.csv", "--from", 2)
     assert "--from: found 2; the recording ends" in capsys.readouterr().err

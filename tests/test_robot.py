@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import re
 
 import numpy as np
 import pytest
@@ -300,7 +301,7 @@ def test_all_problems_are_reported_at_once_without_consequent_errors():
         children=[{"name": "a", "shape": "blox"}, 5, {"shape": "sphere", "size": [1]}],
         shw_axes=1,
     )
-    assert sorted(line.split(":")[0] for line in text.splitlines()) == [
+    assert sorted(re.split("[: ]", line)[0] for line in text.splitlines()) == [
         "children.0.shape", "children.1", "children.2.name", "dh_params", "shw_axes",
         "torque_limits",
     ]  # fmt: skip
@@ -345,7 +346,7 @@ def test_pose_in_degrees_is_converted_and_replaces_that_of_a_model():
         robot(joint_angles=[0], joint_angles_deg=[0])
     with raises_with(
         key="joint_angles_deg",
-        reason="joint_angles_deg is for revolute joints only. Use joint_angles in rad and m",
+        reason="is for revolute joints only. Use joint_angles instead, in rad and m",
     ):
         robot(joint_types=["prismatic"], joint_angles_deg=[0])
     with raises_with(key="joint_angles_deg", found=3):
@@ -354,7 +355,9 @@ def test_pose_in_degrees_is_converted_and_replaces_that_of_a_model():
 
 def test_limits_in_degrees_are_rejected_for_prismatic_joints():
     text = refusal(joint_types=["prismatic"], velocity_limits_deg=[1])
-    wanted = "velocity_limits_deg is for revolute joints only. Use velocity_limits in rad and m"
+    wanted = (
+        "velocity_limits_deg is for revolute joints only. Use velocity_limits instead, in rad and m"
+    )
     assert text.endswith(wanted)
 
 

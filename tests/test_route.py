@@ -78,7 +78,7 @@ def test_source_is_made_from_its_table() -> None:
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({}, f"kind: is required; expected {', '.join(map(repr, KINDS[:-1]))} or {KINDS[-1]!r}"),
+        ({}, f"kind is required; expected {', '.join(map(repr, KINDS[:-1]))} or {KINDS[-1]!r}"),
         ({"kind": "tcp"}, f"kind: no kind 'tcp'; available: {LISTED}"),
         ({"kind": "upd"}, "kind: no kind 'upd'; did you mean 'udp'?"),
         ({"kind": 5}, f"kind: no kind 5; available: {LISTED}"),
@@ -104,7 +104,7 @@ def test_source_fields_have_one_name_in_files_and_one_in_python() -> None:
 @pytest.mark.parametrize(
     ("fields", "message"),
     [
-        ({}, "structure: is required"),
+        ({}, "structure is required"),
         (
             {"structure": "7F7"},
             "structure: structure '7F7', character 4: found the end, "

@@ -592,7 +592,7 @@ def test_groups_are_read_from_the_recording(
     with pytest.raises(RecordingError) as caught:
         read_run(tmp_path / "old.mcap")
     assert caught.value.reason == (
-        "its groups are invalid: groups.claw.model: no model of a group 'claw'; available: "
+        "its groups are invalid: groups.claw.model: no model 'claw' of a group; available: "
         "biped, dlr_hand2, hit_hand2, justin, space_justin; pass a scene"
     )
 

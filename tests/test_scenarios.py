@@ -97,7 +97,7 @@ def test_obsolete_run_jit_is_ignored_with_one_warning(
     extending = tmp_path / "other.toml"
     extending.write_text('extends = "mine.toml"\n[set]\n"run.jit" = true\n[run]\njit = true\n')
     assert read_scenario(extending).run.duration == 0.1
-    assert caplog.messages == ["run.jit has no effect any more; remove it"]
+    assert caplog.messages == ["run.jit no longer has any effect; remove it"]
 
 
 def test_file_is_read_and_anything_can_be_overridden(tmp_path: Path) -> None:
@@ -170,7 +170,7 @@ def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nbelow=1\n",
-            Problem("expect.e", "found none; expected one of measure, finds, finds_nothing"),
+            Problem("expect.e", "found none; expected one of `measure`, `finds`, `finds_nothing`"),
         ),
         (
             "[expect.e]\nfinds='torque_error'\ncause='psh'\n",
@@ -293,10 +293,10 @@ def test_recorded_motion_can_be_a_target(tmp_path: Path) -> None:
     ("text", "message"),
     [
         ("file='none.mcap'", "targets.lwr.file: "),
-        ("file='none.csv'", "none.csv: cannot be read"),
+        ("file='none.csv'", "none.csv cannot be read"),
         ("file='bad.csv'", "found 2 columns in addition to time"),
-        ("file='bad.csv'\nof='x'", "targets.lwr.of: is only for recordings"),
-        ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times: is read from the file; remove it or"),
+        ("file='bad.csv'\nof='x'", "targets.lwr.of is only for recordings"),
+        ("file='bad.csv'\ntimes=[0,1]", "targets.lwr.times is read from the file; remove it or"),
         ("file=5", "targets.lwr.file: found 5; expected the name of a recording or a table"),
     ],
 )
@@ -344,7 +344,7 @@ def test_ineffective_or_impossible_entries_are_rejected(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nfinds='any'\nbelow=1\n",
-            Problem("expect.e", "below: requires measure; found finds"),
+            Problem("expect.e", "`below` requires `measure`; found `finds`"),
         ),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nabove=2\n",

@@ -225,7 +225,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"a": UDP, "b": OTHER_UDP},
             {},
-            "the scene has several sources; choose with --source: a, b",
+            "the scene has several sources; choose one with --source: a, b",
         ),
         (
             {"udp": UDP},

@@ -228,7 +228,7 @@ def test_mjcf_objects_and_opened_sources_are_pickled() -> None:
 def test_unpicklable_scene_is_reported() -> None:
     scene = Scene(robots=[SerialRobot.from_model("lwr")])
     scene.sources["mine"] = lambda: None
-    with pytest.raises(errors.UsageError, match="scene: cannot be sent to the viewer's process"):
+    with pytest.raises(errors.UsageError, match="the scene cannot be sent to the viewer's process"):
         _pickled(scene)
 
 

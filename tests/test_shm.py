@@ -103,7 +103,7 @@ def test_missing_block_is_reported_and_opened_when_it_is_created(
         made = Block(block, writable=True, create=True)
         assert until(lambda: reader.trouble == f"shared memory {block} has 0 bytes; expected 24")
         made.resize(24)
-        assert until(lambda: "(24 bytes), but nothing is written yet" in reader.trouble)
+        assert until(lambda: "(24 bytes), but nothing has been written yet" in reader.trouble)
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)
         assert shown(reader) == [5, 6]
@@ -200,7 +200,8 @@ def test_unwritten_block_is_not_applied(block: str) -> None:
     with ShmReader(block=block, **LOCKED) as reader:
         assert until(lambda: reader.trouble)
         assert (
-            reader.trouble == f"shared memory {block} exists (24 bytes), but nothing is written yet"
+            reader.trouble
+            == f"shared memory {block} exists (24 bytes), but nothing has been written yet"
         )
         made.write(locked(0, 1, 2))
         message = f"nothing has been written to shared memory {block}: 'lock' is 0"
@@ -283,7 +284,7 @@ def test_block_is_mapped_if_shared_memory_is_not_a_file(
         writer._block.resize(3)
         assert shown(reader) == [9, 9]
         assert reader.counters.last_fault == "3 bytes; expected 24"
-        with pytest.raises(OSError, match="the block has become smaller"):
+        with pytest.raises(OSError, match="the block has shrunk"):
             writer.put(locked(0, 1, 1))
 
 
@@ -332,7 +333,9 @@ def test_status_reports_why_no_packets_arrive(block: str) -> None:
         assert until(lambda: reported(reader) == f"{about} has 16 bytes; expected 24")
         made.resize(24)
         assert until(
-            lambda: reported(reader) == f"{about} exists (24 bytes), but nothing is written yet"
+            lambda: (
+                reported(reader) == f"{about} exists (24 bytes), but nothing has been written yet"
+            )
         )
         made.write(locked(2, 5, 6))
         assert reader.wait(5.0)

@@ -108,7 +108,7 @@ def test_trapezoid_takes_the_requested_duration(duration: float, more: float) ->
     assert np.abs(dds).max() == pytest.approx(rate, rel=1e-6)
     assert (way[0], way[-1], speed[0], speed[-1]) == (0.0, 1.0, 0.0, 0.0)
     assert way[500] == pytest.approx(0.5)
-    with pytest.raises(ValueError, match="times the acceleration would be needed"):
+    with pytest.raises(ValueError, match="times its acceleration limit"):
         trapezoid_blend(duration, rate / more / 1.5)
 
 
@@ -249,7 +249,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
     [
         (
             {"kind": "way_points"},
-            Problem(reason="found neither of `times` and `speed`; expected exactly one of them"),
+            Problem(reason="found neither; expected exactly one of `times` and `speed`"),
         ),
         (
             {"kind": "way_points", "speed": 0.5},
@@ -280,8 +280,8 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
             },
             Problem(
                 "times",
-                "joint B is too slow to arrive at t = 1.000 s: 1.33 times the acceleration "
-                "would be needed; expected more time",
+                "joint B is too slow to arrive at t = 1.000 s: it would need 1.33 times "
+                "its acceleration limit; allow more time",
             ),
         ),
         (
@@ -317,14 +317,17 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
                 ],
             ),
         ),
-        ({"kind": "recorded", "times": [0, 0]}, Problem("times", "entry 2 is 0 s, after 0 s")),
+        (
+            {"kind": "recorded", "times": [0, 0]},
+            Problem("times", "entry 2 is 0 s; expected more than 0 s"),
+        ),
         (
             {"kind": "recorded", "times": [0, 1], "angles": [[0, 0, 0]]},
             Problem("angles", found=1, of="rows", expected="2, one per time"),
         ),
         (
             {"kind": "chirp", "amplitude": 0.1, "end_frequency": 1, "duration": 1},
-            Problem("ramp", found=1.0, of="s", expected="up to half the duration"),
+            Problem("ramp", found=1.0, of="s", expected="at most half the duration"),
         ),
         ({"kind": "constant", "angle": 1}, Problem("angle", "unknown key", available=["angles"])),
     ],

@@ -233,7 +233,7 @@ def test_flange_as_stiff_as_the_elastic_joints_is_rejected() -> None:
     stiff = {**CARTESIAN, "stiffness": [20000.0, 20000, 20000, 500, 500, 500]}
     found = problems(stiff, True)
     assert (
-        "controllers.lwr.stiffness: is above 80 % of the stiffness of the elastic joints at the "
+        "controllers.lwr.stiffness is above 80 % of the stiffness of the elastic joints at the "
         "flange; expected at most" in found
     )
     most = float(found.rpartition("at most ")[2].partition(" %")[0]) / 100
@@ -474,7 +474,7 @@ def test_torque_control_of_a_robot_file_is_checked(elastic: bool) -> None:
     dynamics = {"motor_inertias": [0.0] + [1.0] * 6}
     if not elastic:
         found = problems(SOFT, dynamics=dynamics)
-        assert "joint 1: found 0; expected more than 0 where run.torque_control is true" in found
+        assert "joint 1: found 0; expected more than 0, because run.torque_control is true" in found
 
 
 def test_incompatible_rates_are_all_reported_at_once() -> None:

@@ -326,7 +326,7 @@ def test_write_error_ends_recording_and_is_reported(tmp_path: Path) -> None:
     with raises_with(
         RecordingError,
         path=f"{tmp_path}/1.mcap",
-        reason="exists already. Choose another name, or remove it",
+        reason="already exists. Choose another name, or remove it",
     ):
         made.close()
     assert not made.take("udp", *pad_packets(packets, LAYOUT.size), times)
@@ -422,7 +422,7 @@ def test_events_in_a_recording_equal_the_live_ones(
         first = all_of_it.sources["udp"].first
     assert apart == pytest.approx(first + 6.0, abs=2e-3)  # at its original time
     status, _, err = run(line, capsys)
-    assert status == 2 and "hit_001.mcap: exists already" in err
+    assert status == 2 and "hit_001.mcap already exists" in err
 
 
 @pytest.mark.parametrize(

@@ -236,7 +236,9 @@ def test_dual_stack_socket_accepts_a_sender_with_port(
 def test_unspecified_and_multicast_senders_are_rejected(sender: str) -> None:
     with pytest.raises(DeclarationError) as caught:
         UdpReceiver(structure="1F", sender=sender)
-    expected = f"found {sender!r}, which no sender can have. Leave it out to accept any sender"
+    expected = (
+        f"found {sender!r}, which cannot be the address of a sender. Remove it to accept any sender"
+    )
     assert str(caught.value) == f"sender: {expected}"
 
 

@@ -367,16 +367,16 @@ def test_all_errors_are_reported_at_once_with_lines(tmp_path: Path) -> None:
         "robot.urdf:2: link 'a': <mass>: found -1 kg; expected 0 or more",
         "robot.urdf:3: link 'b': <visual>: unknown geometry <boxx>; did you mean 'box'?",
         "robot.urdf:4: link 'b': <inertia>: found ixx = 'one'; expected 1 number",
-        "robot.urdf:5: link 'b': is already defined in line 3",
-        'robot.urdf:6: link: has no name; expected name="..."',
+        "robot.urdf:5: link 'b' is already defined in line 3",
+        'robot.urdf:6: link has no name; expected name="..."',
         "robot.urdf:7: joint 'j1': found type 'revolut'; did you mean 'revolute'?",
         "robot.urdf:8: joint 'j2': <child>: no link 'bb'; did you mean 'b'?",
         "robot.urdf:11: joint 'j3': <axis>: found 0 0 0; expected a nonzero vector",
         "robot.urdf:12: joint 'j3': <limit>: found velocity = -1; expected 0 or more",
-        "robot.urdf:13: joint 'j4': has no <parent link=\"...\">",
+        "robot.urdf:13: joint 'j4' has no <parent link=\"...\">",
         "robot.urdf:13: joint 'j4': <origin>: found xyz = '0 0'; expected 3 numbers",
         "robot.urdf:13: joint 'j4': <origin>: found rpy = '0 nan 0'; expected 3 numbers",
-        "robot.urdf:14: joint 'j3': is already defined in line 10",
+        "robot.urdf:14: joint 'j3' is already defined in line 10",
     ]  # fmt: skip
 
 
@@ -400,7 +400,7 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
         (
             joint("1", "a", "b") + joint("2", "b", "c"),
-            ["robot.urdf:1: link 'd': is not the child of a joint, but the base is 'a'; "
+            ["robot.urdf:1: link 'd' is not the child of a joint, but the base is 'a'; "
              "expected a single base"],
         ),
         (
@@ -409,7 +409,7 @@ LINKS = "<robot name='r'>" + "".join(f'<link name="{name}"/>' for name in "abcd"
         ),
         (
             "".join(joint(a + b, a, b, "fixed") for a, b in ("ab", "bc", "cd")),
-            ["robot.urdf:1: robot: has no movable joint; expected one or more. Add a rigid body "
+            ["robot.urdf:1: robot has no movable joint; expected one or more. Add a rigid body "
              'to a scene as an object with urdf = "robot.urdf"'],
         ),
     ],
@@ -428,16 +428,16 @@ ENTITIES = "".join(
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "robot.urdf:1: is not valid XML: Document is empty"),
-        ("solid model", "robot.urdf:1: is not valid XML: Start tag expected"),
-        ("<robot>\n<link>\n</robot>", "robot.urdf:3: is not valid XML: Opening and end"),
-        ("<robot>" + "<a>" * 400, "robot.urdf:1: is not valid XML: Excessive depth"),
+        ("", "robot.urdf:1: not valid XML: Document is empty"),
+        ("solid model", "robot.urdf:1: not valid XML: Start tag expected"),
+        ("<robot>\n<link>\n</robot>", "robot.urdf:3: not valid XML: Opening and end"),
+        ("<robot>" + "<a>" * 400, "robot.urdf:1: not valid XML: Excessive depth"),
         (f'<!DOCTYPE r [<!ENTITY a "lol">{ENTITIES}]><robot name="&i;"/>', "declares entities"),
         ('<!DOCTYPE r [<!ENTITY a SYSTEM "file:///etc/passwd">]><robot>&a;</robot>',
-         "robot.urdf: is not valid XML: declares entities ('a')"),
+         "robot.urdf: not valid XML: it declares entities ('a')"),
         ("\n<mujoco/>",
          "robot.urdf:2: is an MJCF file; expected a URDF file, whose root is <robot>"),
-        ("<robot/>", "robot.urdf:1: robot: has no <link>"),
+        ("<robot/>", "robot.urdf:1: robot has no <link>"),
     ],
 )  # fmt: skip
 def test_files_that_are_not_urdf_are_rejected(tmp_path: Path, text: str, expected: str) -> None:
@@ -474,7 +474,7 @@ def test_slightly_invalid_xml_is_checked_like_valid_xml(tmp_path: Path, start: s
     assert "Excessive depth" in depth
     (mismatch,) = problems(tmp_path, f"{start}\n<robot><s:link></robot>")
     line = start.count("\n") + 2
-    assert f"robot.urdf:{line}: is not valid XML: Opening and ending tag" in mismatch
+    assert f"robot.urdf:{line}: not valid XML: Opening and ending tag" in mismatch
 
 
 def test_misplaced_declaration_sets_the_encoding(tmp_path: Path) -> None:

@@ -297,7 +297,7 @@ def test_dropped_file_is_opened_and_an_invalid_one_changes_nothing(tmp_path: Pat
     for name, text, expected in (
         ("notes.txt", "", "notes.txt"),
         ("scene.toml", "[robots.lwr]\nmodle = 'lwr'\n", "did you mean 'model'"),
-        ("robot.urdf", "<robot/>", "robot: has no <link>"),
+        ("robot.urdf", "<robot/>", "robot has no <link>"),
         ("run.mcap", "no recording", "run.mcap"),
     ):
         (tmp_path / name).write_text(text, encoding="utf-8")

@@ -392,10 +392,10 @@ def test_nan_counts_as_no_data_and_moves_nothing():
 def test_unknown_inputs_and_robots_are_rejected_with_the_nearest_name():
     world, _, data = compiled(arm())
     for target, text in [
-        ("arm.torque", "no input of arm 'torque'; did you mean 'torques'?"),
+        ("arm.torque", "no input 'torque' of arm; did you mean 'torques'?"),
         (
             "arm",
-            "no input of arm ''; available: arrow_quantity, base_frame, billboard_values, "
+            "no input '' of arm; available: arrow_quantity, base_frame, billboard_values, "
             "commanded_torques, flange_check, joint_accelerations, joint_angles, show_arrows, "
             "show_axes, show_billboards, torques",
         ),

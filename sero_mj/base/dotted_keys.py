@@ -99,7 +99,7 @@ def lacking(
         if not any(f"{key}.".startswith(place) for key in keys):
             if nearest(name, others):
                 return no_table(section, name, others)
-            return f"there is no [{section}.{name}], and for a new one {problem}"
+            return f"there is no [{section}.{name}], and in a new one, {problem}"
     return None
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 import logging
+import re
 import reprlib
 import sys
 import traceback
@@ -26,6 +27,9 @@ if TYPE_CHECKING:
 _MAX_SHOWN = 60  # characters shown before and after an error in a long text
 _MAX_TEXT = 200  # characters shown of a text that is invalid as a whole
 _MAX_ENTRIES = 6  # entries shown of a table or list
+_VERB = re.compile(
+    r"(is|are|was|has|does|can|cannot|requires|needs|lacks|belongs|begins|contains|already)\b"
+)
 
 
 def nearest(name: str, available: Iterable[str]) -> str | None:
@@ -70,6 +74,12 @@ def without_warnings() -> Iterator[None]:
         yield
     finally:
         log.setLevel(before)
+
+
+def located(place: str, message: str) -> str:
+    """Returns the message after its place, as in `a.toml: found 2` or `a.toml is empty`."""
+    is_sentence = _VERB.match(message) and not re.search(r":\d+$", place)
+    return f"{place}{'' if is_sentence else ':'} {message}" if place else message
 
 
 def printable(text: str) -> str:
@@ -206,7 +216,8 @@ class Problem:
         place = self.file or ""
         if place and self.line is not None:
             place += f":{self.line}"
-        return printable(": ".join(part for part in (place, self.key, self.message) if part))
+        message = located(self.key, self.message)
+        return printable(f"{place}: {message}" if place and self.key else located(place, message))
 
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Problem) and self._identity == other._identity
@@ -257,7 +268,9 @@ def problems_of(error: Exception, key: str = "") -> list[Problem]:
     if isinstance(error, DeclarationError):
         return [problem.inside(key) for problem in error.problems]
     if isinstance(error, UnknownName) and not error.hint:
-        return [Problem(key, f"no {error.kind}", found=error.name, available=error.available)]
+        noun, owner = _split(error.kind)
+        known = error.available
+        return [Problem(key, f"no {noun}", found=error.name, of=owner.lstrip(), available=known)]
     return [Problem(key, str(error))]
 
 
@@ -270,6 +283,12 @@ def collect(problems: list[Problem], key: str) -> Iterator[None]:
         problems += problems_of(error, key)
 
 
+def _split(kind: str) -> tuple[str, str]:
+    """Returns a noun and its complement, for example `input` and ` of lwr`."""
+    noun, space, complement = re.split(r"( (?=(?:of|in) )|$)", kind, maxsplit=1)
+    return noun, space + complement
+
+
 class UnknownName(SeroError, KeyError):
     """A name that does not exist, for example the name of a camera."""
 
@@ -279,7 +298,8 @@ class UnknownName(SeroError, KeyError):
         self.available = sorted(set(available))
         self.near = nearest(name, self.available)
         self.hint = hint
-        super().__init__(f"no {kind} '{name}'{hint or did_you_mean(name, self.available)}")
+        noun, owner = _split(kind)
+        super().__init__(f"no {noun} '{name}'{owner}{hint or did_you_mean(name, self.available)}")
 
     def __str__(self) -> str:
         return str(self.args[0])  # KeyError would print the repr
@@ -317,7 +337,7 @@ def _pointing(text: str, position: int, length: int) -> str:
 class _ProblemError(SeroError):
     def __init__(self, problem: Problem | str, place: str = "") -> None:
         self.problem = problem if isinstance(problem, Problem) else Problem("", problem)
-        super().__init__(": ".join(part for part in (place, str(self.problem)) if part))
+        super().__init__(located(place, str(self.problem)))
 
 
 class SourceError(_ProblemError, OSError):
@@ -382,8 +402,8 @@ class NotTrusted(SeroError, PermissionError):
     def __init__(self, file: Path, actions: list[str]) -> None:
         self.file, self.actions = file, actions
         super().__init__(
-            f"{file}: requests to {' and to '.join(actions)}, but the file is not trusted. "
-            f"`sero-mj simulate {file}` trusts it"
+            f"{file} requests to {' and to '.join(actions)}, but this file is not trusted. "
+            f"Run `sero-mj simulate {file}` to trust it"
         )
 
 

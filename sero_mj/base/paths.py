@@ -402,9 +402,9 @@ def open_file(path: Path | str, max_bytes: int | None = None) -> BinaryIO:
             raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
         if not stat.S_ISREG(status.st_mode):
             what = next((name for is_it, name in _KINDS if is_it(status.st_mode)), "something else")
-            raise OSError(errno.EINVAL, f"is {what}; expected a file", str(path))
+            raise OSError(errno.EINVAL, f"found {what}; expected a file", str(path))
         if max_bytes is not None and status.st_size > max_bytes:
-            found = f"has {status.st_size / _MB:.1f} MB; expected at most {max_bytes / _MB:g} MB"
+            found = f"found {status.st_size / _MB:.1f} MB; expected at most {max_bytes / _MB:g} MB"
             raise OSError(errno.EFBIG, found, str(path))
         return os.fdopen(file, "rb")
     except BaseException:

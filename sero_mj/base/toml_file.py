@@ -71,7 +71,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError as error:
         raise wrong(f"is not UTF-8 text (byte {error.start})") from error
     except ValueError as error:
-        raise wrong(f"is not TOML: {error}") from error
+        raise wrong(f"not valid TOML: {error}") from error
     raise wrong(other)
 
 

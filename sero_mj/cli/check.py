@@ -281,7 +281,8 @@ def _print_kinematics(options: CheckOptions, name: str) -> int:
         if len(q) not in (coupled.n, coupled.k):
             fewer = f", {coupled.k} of them independent" if coupled.is_coupled else ""
             found = f"found {len(q)} number{'s' * (len(q) != 1)}"
-            raise UsageError(f"--joint-angles: {found}; {robot.name} has {robot.n} joints{fewer}")
+            needed = f"{robot.name} has {robot.n} joints{fewer}"
+            raise UsageError(f"--joint-angles: {found}, but {needed}")
         if options.deg:
             revolute = robot.kinematics.revolute
             revolute = revolute if len(q) == coupled.n else revolute[coupled.independent]
@@ -314,7 +315,7 @@ def _robot_of(name: str, of: str | None) -> SerialRobot:
         (of,) = robots
     if of is None:
         found = f"has {len(robots)} robots"
-        raise UsageError(f"{name}: {found}; expected --of with one of {', '.join(robots)}")
+        raise UsageError(f"{name} {found}; choose one with --of: {', '.join(robots)}")
     if of not in robots:
         raise UsageError(f"{name} has no robot '{of}'{did_you_mean(of, robots)}")
     return robots[of]

@@ -55,7 +55,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         against_model: compare A with the robot's model in the same motion.
         robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
         source: source to read; NAME,NAME for A and B (default: all sources).
-        offset: offset added to the times of B, s; auto estimates the offset from the motion.
+        offset: offset in seconds added to the times of B; auto estimates it from the motion.
         plot: draw a figure: .png, .pdf or .svg.
         csv: write both recordings and their difference to a table.
         table: write one row per recording to a table.
@@ -63,8 +63,10 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         output: write a page that plays A and B, with explanations of the difference on the
             timeline.
         render: render a video of A with the difference as arrows, and a transparent double for B.
-        tolerance_torque: maximum difference of measured torques, Nm or N; exit with 1 above it.
-        tolerance_angle: maximum difference of joint values, degrees or mm; exit with 1 above it.
+        tolerance_torque: maximum difference in measured torques, in Nm or N; exit with 1 if
+            exceeded.
+        tolerance_angle: maximum difference in joint values, in degrees or mm; exit with 1 if
+            exceeded.
         quiet: print no table and no progress bar.
     """
 

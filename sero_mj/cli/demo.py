@@ -31,8 +31,8 @@ class DemoOptions(Options):
 
     Attributes:
         out: output folder (default: out).
-        duration: duration of the video, s.
-        size: width and height of the image and the video, pixels.
+        duration: duration of the video in seconds.
+        size: width and height of the image and the video in pixels.
     """
 
     out: Annotated[Path, Option("OUT", ("-o", "--out"))] = Path("out")

@@ -61,10 +61,10 @@ class ExportOptions(SceneArgument, ShownOptions):
     Attributes:
         scene: file or included name of a scene, scenario, robot or recording.
         file: output file; same as --output.
-        output: output file; the file name's ending selects the format.
-        seconds: duration to export, s (default: until the end, or 10 s for live sources).
-        begin: start time in the run, s.
-        end: end time in the run, s.
+        output: output file; its extension determines the format.
+        seconds: duration to export in seconds (default: until the end, or 10 s for live sources).
+        begin: start time in the run, in seconds.
+        end: end time in the run, in seconds.
         fps: frames per second.
         name: title of the page (default: the name of the scene).
         joint_order: robot, or scene with one robot, that determines the joint order of a table.
@@ -95,7 +95,7 @@ class ExportOptions(SceneArgument, ShownOptions):
             if self.seconds is not None:
                 raise ValueError("--to cannot be combined with --seconds")
             if self.end <= (self.begin or 0.0):
-                raise ValueError(f"--to: found {self.end:g}; expected a time after --from, s")
+                raise ValueError(f"--to: found {self.end:g}; expected more than --from")
         return self
 
     @property

@@ -179,15 +179,15 @@ def _check_format(path: Path) -> None:
             f'model = "{path}" in [robots.NAME].'
         )
     if ending not in _ENDINGS and (found := format_of_file(path)) is not None:
-        raise UsageError(f"{path}: is {found}; expected URDF, xacro or MJCF")
+        raise UsageError(f"{path} is {found}; expected URDF, xacro or MJCF")
     check_ending("FILE", path, _ENDINGS)
     if not path.is_file():
-        raise UsageError(f"{path}: {'is a folder' if path.is_dir() else 'no such file'}")
+        raise UsageError(f"{path}{' is a folder' if path.is_dir() else ': no such file'}")
     if ending == ".xml":
         found = format_of_file(path)
         if found not in ("a URDF file", "an MJCF file"):
             expected = "expected URDF (<robot>) or MJCF (<mujoco>)"
-            raise UsageError(f"{path}: is {found or 'not XML'}; {expected}")
+            raise UsageError(f"{path} is {found or 'not XML'}; {expected}")
 
 
 def _copy(mesh: Path, to: Path) -> None:

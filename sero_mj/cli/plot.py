@@ -60,8 +60,8 @@ def run(options: PlotOptions) -> int:
     output = options.output
     if len(options.recordings) > 1 and output.suffix.lower() != ".pdf":
         raise UsageError(
-            f"-o {output}: expected a name that ends in .pdf for {len(options.recordings)} "
-            "recordings, which become pages"
+            f"-o {output}: expected a name that ends in .pdf, because a figure of "
+            f"{len(options.recordings)} recordings has several pages"
         )
     logs = [options.read_part(path) for path in options.recordings]
     from ..study.plot import plot_run

@@ -52,8 +52,8 @@ class TriggerOptions(Options):
 
     Attributes:
         trigger: record only the packets that satisfy this condition, and those around them.
-        before: time to record before an event, s.
-        after: time to record after the last packet of an event, s.
+        before: seconds to record before an event.
+        after: seconds to record after the last packet of an event.
         replay: search for events in a recording instead of live sources.
     """
 
@@ -77,9 +77,9 @@ class RecordOptions(SceneArgument, TriggerOptions):
         scene: file or included name of a scene.
         output: output file; with --trigger, also a folder (default: the current folder).
         out: output file or folder; same as OUT.mcap.
-        duration: recording time, s (default: until Ctrl+C).
-        signals_rate: rate of decoded values of each source for other programs, 1/s; packets are
-            always recorded at the full rate.
+        duration: recording time in seconds (default: until Ctrl+C).
+        signals_rate: rate in Hz of decoded values of each source for other programs; packets
+            are always recorded at the full rate.
         overwrite: replace an existing file.
         quiet: print no progress line.
     """

@@ -45,7 +45,7 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
     Attributes:
         output: image file (.png, .jpg, .webp; with --pass: .png, .npy) or video file (.mp4, .webm,
             .gif).
-        at: time of the image in a simulation or recording, s (default: 0).
+        at: time of the image in a simulation or recording, in seconds (default: 0).
         quiet: print nothing.
     """
 
@@ -61,8 +61,8 @@ class RenderOptions(SceneArgument, VideoOptions, EyeOptions, ShownOptions, OverO
     def _check_kind(self) -> Self:
         of_video = self.set_among("duration", "fps", "orbit", "camera_path")
         if of_video and not self.is_video:
-            expected = f"expected a video ({', '.join(VIDEO_FORMATS)})"
-            raise ValueError(f"-o {self.output}: {expected} with {of_video[0]}")
+            expected = f"{of_video[0]} needs a video ({', '.join(VIDEO_FORMATS)})"
+            raise ValueError(f"-o {self.output}: {expected}")
         self._check_pass()
         if self.is_video and self.at is not None:
             raise ValueError(f"-o {self.output}: --at needs an image")
@@ -147,5 +147,5 @@ def video_with_progress(
             return (make or render_video)(scene, output, options, on_progress=update)
     except KeyboardInterrupt:
         if frames:
-            print(f"sero-mj: {output} has the first {frames} frames", file=sys.stderr)
+            print(f"sero-mj: {output} contains the first {frames} frames", file=sys.stderr)
         raise

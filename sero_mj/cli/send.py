@@ -210,7 +210,7 @@ class SendOptions(SceneArgument, PlayOptions, ControllerOptions, SinkOptions):
 
     Attributes:
         rate: packets per second (default: 1000; FRI: 200).
-        duration: sending time, s (default: until Ctrl+C).
+        duration: sending time in seconds (default: until Ctrl+C).
         amplitude: amplitude of the motion, from 0 (no motion) to 1.
     """
 

@@ -136,7 +136,7 @@ class ReplayOptions(Options):
 
     Attributes:
         replay: play a recording or a table (.csv) instead of the live sources.
-        start: start time in the recording, s (default: the first packet).
+        start: start time in the recording, in seconds (default: the first packet).
         source: source of a ROS recording that moves the robot, if there are several sources.
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
@@ -210,8 +210,8 @@ class OverOptions(Options):
     Attributes:
         over: draw over a photo or video of the real robot.
         camera_file: file with the camera calibration of the photo or video, YAML or TOML.
-        offset: time in the recording at which the video begins, s; auto estimates this time from
-            the motion (default: auto).
+        offset: time in the recording at which the video begins, in seconds; auto estimates
+            this time from the motion (default: auto).
     """
 
     title: ClassVar[str] = "drawing over photos and videos"
@@ -309,8 +309,8 @@ class PartOptions(RunOptions):
     """Options for the time range of recordings.
 
     Attributes:
-        begin: start time, s (default: the first packet).
-        end: end time, s (default: the last packet).
+        begin: start time in seconds (default: the first packet).
+        end: end time in seconds (default: the last packet).
     """
 
     begin: Annotated[Time | None, Option("S", ("--from",))] = None

@@ -55,12 +55,13 @@ class SimulateOptions(SizeOptions, CameraOptions, MotionOptions, JsonOptions, Si
     Attributes:
         scenario: file or included name of a scenario.
         record: record every step in an MCAP file.
-        signals_rate: rate of decoded values in the recording for other programs, 1/s; 0 for none.
+        signals_rate: rate of decoded values for other programs to store in the recording, in Hz,
+            or 0 for none.
         csv: write every step to a table.
         plot: draw the torques of all joints.
         report: folder for a page that plays the run, a figure, report.json, and junit.xml for CI.
         render: render a video (.mp4, .webm, .gif) or an image (.png, .jpg, .webp).
-        at: time of the image, s (default: the end).
+        at: time of the image in seconds (default: the end).
         fps: frames per second (default: 30; GIF: 20).
         seed: seed of the noise; overrides the seed in the scenario.
         settings: override a field, for example controllers.lwr.stiffness=200; repeatable.

@@ -47,7 +47,7 @@ class StatusOptions(SceneArgument, ReplayOptions, JsonOptions):
 
     Attributes:
         scene: file or included name of a scene or recording.
-        duration: observation time, s (default: until Ctrl+C).
+        duration: observation time in seconds (default: until Ctrl+C).
         topics: list the topics at an address such as ros2://, and the robots that a topic can move.
         as_json: print only JSON, at the end.
     """

@@ -42,12 +42,12 @@ class StructureOptions(JsonOptions):
         scene: explain the packet layouts of a scene's sources.
         float32: read F, V, M and T as float32.
         row_major: read matrices row by row.
-        alignment: alignment of every item, bytes.
+        alignment: alignment of every item in bytes.
         scale: factor by which floating-point numbers are multiplied.
         sniff: show the packets that arrive at a UDP port.
         host: address to listen on; 0.0.0.0 for all interfaces (default: 127.0.0.1).
         interface: network interface on which to join a multicast group.
-        duration: duration of --sniff, s (default: until Ctrl+C).
+        duration: duration of --sniff in seconds (default: until Ctrl+C).
         count: number of packets after which --sniff ends.
         language: print the reference of the layout language.
     """
@@ -70,9 +70,7 @@ class StructureOptions(JsonOptions):
         if self.sniff is None:
             self.refuse(("host", "interface", "duration", "count"), " needs --sniff PORT")
         elif self.scene:
-            raise ValueError(
-                "--scene cannot be combined with --sniff. Write the structure instead."
-            )
+            raise ValueError("--scene cannot be combined with --sniff. Pass a STRUCTURE instead.")
         if self.structure is not None:
             self.refuse(("scene", "language"), " cannot be combined with STRUCTURE")
         return self

@@ -62,7 +62,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         simulate: simulate the robots, which users can pull or move by target poses.
         control: controller for --simulate: `gravity`, `joint`, `cartesian`, or another kind that
             needs no declared gains (default: joint).
-        size: size of the window, pixels (default: 1280x800).
+        size: size of the window in pixels (default: 1280x800).
         full_screen: show the window on the whole screen.
         finish_films: finish rendering the videos of recorded clips (key K) after closing.
         fresh: show the scene as declared instead of restoring the last view.
@@ -107,7 +107,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
         if self.token and self.no_token:
             raise ValueError("--token cannot be combined with --no-token")
         if (self.web or self.page_options) and self.window_options:
-            raise ValueError(f"{self.window_options[0]} needs a window; found a page")
+            raise ValueError(f"{self.window_options[0]} needs a window instead of a page")
         return self
 
     @model_validator(mode="after")

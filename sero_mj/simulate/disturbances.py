@@ -87,7 +87,7 @@ class Force(Disturbance):
     def _check_samples(self, samples: Array) -> None:
         others = [key for key in ("force", "torque", "profile") if key in self.model_fields_set]
         if others:
-            raise ValueError(f"samples: cannot be combined with {others[0]}")
+            raise ValueError(f"samples cannot be combined with {others[0]}")
         if self.end is None:
             expected = "the time in seconds at which the samples end"
             raise Problem("end", "is required", expected=expected).error()

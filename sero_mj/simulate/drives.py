@@ -94,7 +94,8 @@ class Drives:
             )
             raise Problem(
                 f"robots.{name}.torque_control.motor_inertias",
-                f"a torque loop of {1 / timestep:.0f} Hz makes joint {joints[joint]} unstable at",
+                f"a torque loop of {1 / timestep:.0f} Hz makes joint {joints[joint]} unstable "
+                "with a motor inertia of",
                 found=float(gains.shaped_inertias[joint]),
                 expected=better,
             ).error()

@@ -116,13 +116,13 @@ class Expect(Declaration):
         ]
         if len(keys) != 1:
             found = " and ".join(keys) or "none"
-            raise ValueError(f"found {found}; expected one of measure, finds, finds_nothing")
+            raise ValueError(f"found {found}; expected one of `measure`, `finds`, `finds_nothing`")
         if self.measure is None:
             for key in ("below", "above", "of", "signed", "holds_at"):
                 if key in self.model_fields_set:
-                    raise ValueError(f"{key}: requires measure; found {keys[0]}")
+                    raise ValueError(f"`{key}` requires `measure`; found `{keys[0]}`")
         elif self.finds is None and (self.within is not None or self.cause is not None):
-            raise ValueError("within and cause require finds")
+            raise ValueError("`within` and `cause` require `finds`")
         if self.below is not None and self.above is not None and self.above >= self.below:
             raise Problem("above", found=self.above, expected=f"less than {self.below:g}").error()
         if self.measure is not None and self.below is None and self.above is None:
@@ -144,7 +144,8 @@ class Expect(Declaration):
 
     def _check_sign(self) -> None:
         if self.signed and self.measure not in SIGNED:
-            raise ValueError(f"signed: requires one of {', '.join(SIGNED)}; found {self.measure}")
+            known = ", ".join(SIGNED)
+            raise ValueError(f"`signed` requires one of the measures {known}; found {self.measure}")
         if self.signed and self.of == "rms":
             raise Problem(
                 "signed", "found of = 'rms', which has no sign", expected="of = 'mean'"
@@ -161,15 +162,16 @@ class Expect(Declaration):
 
     def _check_whose(self) -> None:
         if self.joints and self.measure is not None and self.measure not in PER_JOINT:
-            raise ValueError(f"joints: {self.measure} has no value per joint; remove joints")
+            raise ValueError(f"{self.measure} has no value per joint; remove `joints`")
         if self.measure in OF_FREE and (self.robot is None) == (self.object is None):
             found = "neither" if self.robot is None else "both"
             raise Problem(
                 "measure",
-                f"'{self.measure}' requires robot (with a free base) or object; found {found}",
+                f"'{self.measure}' requires `robot` (with a free base) or `object`; found {found}",
             ).error()
         if self.measure not in OF_FREE and self.object is not None:
-            raise ValueError(f"object: requires one of {', '.join(OF_FREE)}; found {self.measure}")
+            known = ", ".join(OF_FREE)
+            raise ValueError(f"`object` requires one of the measures {known}; found {self.measure}")
 
     def check(self, scenario: RunContext) -> None:
         """Raises DeclarationError if a name is unknown or the measure is not available."""
@@ -228,7 +230,7 @@ class Expect(Declaration):
             return []
         what = "joints" if self.measure in PER_JOINT else "robots"
         each = ", 'each_robot' (one joint of each)" if len(robots) > 1 else ""
-        message = f"is required with above for {len(places)} {what}"
+        message = f"is required with `above` for {len(places)} {what}"
         return [Problem("holds_at", message, expected=f"'all'{each} or 'any' (one of them)")]
 
     def _not_free(self, scene: Scene) -> list[Problem]:

@@ -60,7 +60,7 @@ def save_pushes(simulation: Simulation, folder: Path) -> Path:
     try:
         path.write_text(toml_text(tables), "utf-8")
     except OSError as error:
-        raise SeroError(f"{path}: cannot be written: {error.strerror}") from error
+        raise SeroError(f"{path} cannot be written: {error.strerror}") from error
     return path
 
 

@@ -153,7 +153,7 @@ class Run(Declaration):
 
 @cache
 def _warn_of_jit() -> None:
-    log.warning("run.jit has no effect any more; remove it")
+    log.warning("run.jit no longer has any effect; remove it")
 
 
 class Scenario:

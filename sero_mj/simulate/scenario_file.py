@@ -96,7 +96,7 @@ def _read_whole(file: Path, tables: dict[str, Any], overrides: dict[str, Any]) -
         else:
             is_own = key.partition(".")[0] in (*SECTIONS, "run")
             (of_own if is_own else of_scene)[key] = value
-    message = "requires `extends`; change the tables themselves"
+    message = "requires `extends`; without it, edit the tables directly"
     problems = [Problem("set", message)] if "set" in own else []
     scene = None
     try:
@@ -196,7 +196,7 @@ def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
     except UnknownName as error:
         raise _wrong("extends", str(error)) from None
     if path.resolve() in extending:
-        raise _wrong("extends", f"found {base}, which itself extends this file")
+        raise _wrong("extends", f"found {base}, which extends this file")
     return path
 
 
@@ -406,7 +406,7 @@ def _from_recording(file: Path, robot: SerialRobot, of: object) -> tuple[Array, 
         raise _wrong(key, f"no robot '{name}' in {file}{did_you_mean(str(name), names)}")
     if log.robots[str(name)].n != robot.n:
         found = f"robot '{name}' in {file} has {log.robots[str(name)].n} joints"
-        raise _wrong("file", f"{found}; '{robot.name}' has {robot.n}")
+        raise _wrong("file", f"{found}, but '{robot.name}' has {robot.n}")
     return log.times, log.of(str(name), "joint_angles")
 
 

@@ -30,9 +30,8 @@ _BLOCK = 256  # number of steps of noise drawn at once; single draws would domin
 def _per_joint(value: Any) -> Array:
     array = numbers(value)
     if array.ndim > 1:
-        raise Problem(
-            found=array.ndim, of="dimensions", expected="one number, or one per joint"
-        ).error()
+        reason, expected = "found an array with", "one number, or one per joint"
+        raise Problem("", reason, found=array.ndim, of="dimensions", expected=expected).error()
     return array
 
 

@@ -234,7 +234,7 @@ def choose_robot(log: RunLog, name: str | None) -> str:
         raise UsageError(Problem("--robot", "no robot", found=name, of=where, available=known))
     if name is None and len(log.robots) != 1:
         has = ", ".join(log.robots) or "no robot"
-        raise UsageError(f"{log.name} has {has}; choose with --robot NAME")
+        raise UsageError(f"{log.name} has {has}; choose one with --robot NAME")
     return name or next(iter(log.robots))
 
 
@@ -262,10 +262,10 @@ def choose_robots(a: RunLog, b: RunLog, name: str | None = None) -> tuple[str, s
         elif not common and len(a.robots) == len(b.robots) == 1:
             pair = next(iter(a.robots)), next(iter(b.robots))
         elif common:
-            raise UsageError(f"both runs have {', '.join(common)}; choose with --robot NAME")
+            raise UsageError(f"both runs have {', '.join(common)}; choose one with --robot NAME")
         else:
             has = [f"{run.name} has {', '.join(run.robots) or 'no robot'}" for run in (a, b)]
-            hint = "choose with --robot NAME,NAME"
+            hint = "choose a pair with --robot NAME,NAME"
             raise UsageError(f"{has[0]}, {has[1]}: no common robot; {hint}")
     first, second = a.robots[pair[0]], b.robots[pair[1]]
     if first.n != second.n:

@@ -314,4 +314,4 @@ def save_figures(figures: Sequence[Figure], path: Path) -> None:
         metadata: Any = {"Date": None} if suffix == ".svg" else None
         figures[0].figure.savefig(path, dpi=_DPI, metadata=metadata)
     except OSError as error:
-        raise RenderError(f"{path}: cannot be written: {error.strerror or error}") from error
+        raise RenderError(f"{path} cannot be written: {error.strerror or error}") from error

@@ -58,7 +58,7 @@ class PacketDeclaration(Declaration):
     def _check_fixed(cls, value: Any, info: ValidationInfo) -> Any:
         assert info.field_name is not None
         if cls._fixed_by and value not in cls._fixed(info.field_name):
-            reason = f"{cls._fixed_by} determines this field. Leave it out"
+            reason = f"{cls._fixed_by} determines this field. Remove it"
             raise ValueError(f"found {shown(value)}; {reason}")
         return value
 
@@ -71,7 +71,7 @@ class PacketDeclaration(Declaration):
     def _check_structure(cls, text: str, info: ValidationInfo) -> str:
         if cls._structure_is:
             if text:
-                raise ValueError(f"is {cls._structure_is}. Leave it out")
+                raise ValueError(f"is {cls._structure_is}. Remove it")
             return text
         try:
             _structure_of(text, info)

@@ -86,7 +86,7 @@ class ShmReader(Source):
         if not self.lock:
             return self
         if self.lock == self.sequence:
-            reason = "but a lock increases by two. Leave sequence out"
+            reason = "but a lock increases by two. Remove `sequence`"
             raise ValueError(f"'{self.lock}' is both lock and sequence, {reason}")
         field = self.layout.field(self.lock)
         if (self.offset + field.offset) % field.item_bytes:
@@ -273,7 +273,8 @@ class _PacketFinder:
             self.trouble = f"{self._about} has {block.size} bytes; expected {expected}"
             return seen
         if not self._done and seen.count(0) == len(seen):
-            self.trouble = f"{self._about} exists ({block.size} bytes), but nothing is written yet"
+            size = f"{block.size} bytes"
+            self.trouble = f"{self._about} exists ({size}), but nothing has been written yet"
             return None
         if self._lock is not None:
             packet = self._find_locked(block, self._lock, seen)

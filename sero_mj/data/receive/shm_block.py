@@ -109,7 +109,7 @@ class Block:
         if _PWRITE is None:
             mapped = self._mapped()
             if mapped is None or len(mapped) < start + len(data):
-                raise OSError("the block has become smaller")
+                raise OSError("the block has shrunk")
             mapped[start : start + len(data)] = data
         elif _PWRITE(self._fd, data, len(data), start) != len(data):
             raise _last_error()

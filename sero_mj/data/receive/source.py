@@ -181,9 +181,9 @@ def make_source(name: str, declared: Mapping[str, Any] | Source) -> Source:
     if not isinstance(declared, Mapping):
         if isinstance(declared, Source):
             return declared
-        raise mismatch(declared, "a table with kind, or a source")
+        raise mismatch(declared, "a table with `kind`, or a source")
     if "name" in declared:
-        raise Problem("name", "belongs in the header of the table. Leave it out").error()
+        raise Problem("name", "belongs in the header of the table. Remove it").error()
     try:
         kind = load_plugin(SOURCES, kind_of(declared, plugins(SOURCES)), Source)
     except PluginError as error:

@@ -186,7 +186,8 @@ def split_sender(text: str) -> tuple[str, int]:
     else:
         if address.is_unspecified or address.is_multicast:
             raise ValueError(
-                f"found {text!r}, which no sender can have. Leave it out to accept any sender"
+                f"found {text!r}, which cannot be the address of a sender. Remove it to accept "
+                "any sender"
             )
     if not 0 <= number <= 65535:
         raise mismatch(text, "an address such as 192.168.0.7, 192.168.0.7:1234 or [fe80::1]:1234")

@@ -87,7 +87,7 @@ class McapStream:
             # Unbuffered: buffered data would be lost with the process.
             self._file = open(self.path, "wb" if overwrite else "xb", buffering=0)  # noqa: SIM115
         except FileExistsError as error:
-            reason = "exists already. Choose another name, or remove it"
+            reason = "already exists. Choose another name, or remove it"
             raise RecordingError(self.path, reason) from error
         except (OSError, ValueError) as error:
             raise RecordingError(self.path, f"cannot be written: {_why(error)}") from error

@@ -56,7 +56,7 @@ class Replay(FileSource):
         if topics and "file" in info.data:
             wanted = _message_source(info.data["file"], topics)
             if wanted is None:
-                raise ValueError("topics are only for recordings of messages. Leave them out")
+                raise ValueError("topics are only for recordings of messages. Remove them")
             if not look_into(info.data["file"], {"": wanted}).sources:
                 raise ValueError(f"{info.data['file']} has none of these topics")
         return topics

@@ -39,7 +39,7 @@ def choose_source(wiring: Wiring, name: str | None = None) -> Source:
         named = f" '{name}'" if name else ""
         raise UsageError(f"the scene has no source{named}{did_you_mean(name or '', sources)}")
     names = ", ".join(sources)
-    raise UsageError(f"the scene has several sources; choose with --source: {names}")
+    raise UsageError(f"the scene has several sources; choose one with --source: {names}")
 
 
 def structure_for(source: Source, text: str | None = None) -> Structure:

@@ -171,7 +171,7 @@ def _common(to: Structure, events: Mapping[str, tuple[int, ...]], of: str) -> li
     common = [event for event in to.events if event in events]
     if not common:
         has, wanted = ", ".join(events), ", ".join(to.events)
-        raise UsageError(f"{of} has the events {has}; '{to.text}' has {wanted}; no event is common")
+        raise UsageError(f"{of} has the events {has}, but '{to.text}' has {wanted}")
     for event in common:
         if to.events[event] != events[event]:
             found, expected = (" x ".join(map(str, each[event])) for each in (events, to.events))

@@ -60,7 +60,7 @@ class FrankaClient(Reachable):
 
     def make(self, model: RobotModel, timestep: float) -> FrankaRobot:
         if model.n != JOINTS:
-            reason = f"FCI requires {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"FCI requires {JOINTS} joints, but {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         steps = round(CYCLE / timestep)
         if steps < 1 or abs(steps * timestep - CYCLE) > 1e-9:

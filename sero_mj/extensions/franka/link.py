@@ -253,7 +253,8 @@ class FciLink(Link):
         if version != own or not port:
             self.answer(name, number, INCOMPATIBLE, struct.pack("<H", own))
             expected = f"version = {version}" if version != own else "a UDP port"
-            self.warn_once(f"a client uses version {version}, the robot {own}; expected {expected}")
+            found = f"a client uses version {version}, but the robot uses {own}"
+            self.warn_once(f"{found}; expected {expected}")
             return
         self.answer(name, number, SUCCESS, struct.pack("<H", own))
         if self._client is not None:

@@ -160,4 +160,5 @@ class Desired:
 
     def _check_finite(self, numbers: Sequence[float] | Array, what: str, error: str) -> None:
         if not (np.abs(numbers) < MAX_NUMBER).all():  # also NaN
-            raise Violation(error, f"commanded {what} is not finite or is too large", is_input=True)
+            reason = f"the commanded {what} is not finite or too large"
+            raise Violation(error, reason, is_input=True)

@@ -52,7 +52,7 @@ class FriClient(FriSession):
 
     def make(self, model: RobotModel, timestep: float) -> FriRobot:
         if model.n != JOINTS:
-            reason = f"FRI requires {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"FRI requires {JOINTS} joints, but {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         cycle = self.cycle or timestep
         steps = self.steps_per_cycle(cycle, timestep)

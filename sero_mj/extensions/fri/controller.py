@@ -120,7 +120,7 @@ class FriController:
         layout: FriLayout | None = None,
     ) -> None:
         if robot.n != 7:
-            raise UsageError(f"FRI requires 7 joints; '{robot.name}' has {robot.n}")
+            raise UsageError(f"FRI requires 7 joints, but '{robot.name}' has {robot.n}")
         low, high = CYCLES
         if not low - 1e-9 <= cycle <= high + 1e-9:
             expected = f"expected {low * 1e3:g} to {high * 1e3:g}"

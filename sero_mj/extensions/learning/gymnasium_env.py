@@ -98,7 +98,7 @@ class GymnasiumEnvironment(gymnasium.Env[Any, Any]):
         """
         environment = self.environment
         if environment.is_over:
-            raise gymnasium.error.ResetNeeded("found no episode; expected reset() before step()")
+            raise gymnasium.error.ResetNeeded("there is no episode; call reset() before step()")
         step = environment.step(np.asarray(action, np.float64) * self._scale)
         terminated = environment.error is not None
         info = {"error": str(environment.error)} if terminated else {}

@@ -89,7 +89,7 @@ class GymnasiumVector(VectorEnv[Any, Any, Any]):
         """
         many = self.many
         if many.episodes[0] < 0:
-            raise gymnasium.error.ResetNeeded("found no episode; expected reset() before step()")
+            raise gymnasium.error.ResetNeeded("there is no episode; call reset() before step()")
         wanted = np.asarray(actions, np.float64)
         if wanted.shape == self.action_space.shape:  # `step` reports a wrong shape
             wanted = wanted * self._scale

@@ -56,11 +56,11 @@ class CalibrateOptions(SettingOptions, ReplayOptions, JsonOptions):
     """Compute the pose of a camera from points of the robot in a photo.
 
     Attributes:
-        photo: photo that the camera has taken.
+        photo: photo taken by the camera.
         robot: file or included name of a robot or scene.
-        joint_angles: joint angles of the robot in the photo, separated by commas, rad or m.
+        joint_angles: joint angles of the robot in the photo, separated by commas, in rad or m.
         replay: take the joint angles from a recording.
-        start: time of the photo in the recording, s (default: the first packet).
+        start: time of the photo in the recording, in seconds (default: the first packet).
         points: .csv or .toml file with points of the robot and their pixels.
         camera_file: YAML or TOML file with the intrinsics of the camera.
         output: camera file to write, .yaml or .toml.

@@ -195,7 +195,7 @@ def read_points(path: Path, world: WorldView, size: tuple[int, int]) -> list[Cli
             if (pixel < -0.5).any() or (pixel > np.array(size) - 0.5).any():
                 at = ", ".join(f"{value:g}" for value in pixel)
                 raise ValueError(
-                    f"pixel {at} is outside of the photo, which has {size[0]}x{size[1]} pixels"
+                    f"pixel {at} is outside the photo, which has {size[0]}x{size[1]} pixels"
                 )
         except ValueError as error:
             wrong = problems_of(error, key)
@@ -287,7 +287,7 @@ def calibrate(
     if is_flat and find_focal:
         raise UsageError(
             "the points are in one plane, whose distance is unknown without the focal length; add "
-            "a point outside of the plane, or use --camera-file with the intrinsics of the camera"
+            "a point outside the plane, or use --camera-file with the intrinsics of the camera"
         )
     used = np.ones(len(points), bool)
     solver = _Solver(camera, find_focal=find_focal)
@@ -326,7 +326,7 @@ def _check_ambiguity(found: PhotoCamera, points: Array, pixels: Array) -> None:
     if len(fits) > 1 and fits[1] < _AMBIGUOUS * best:
         raise UsageError(
             f"the points are in one plane, and two cameras fit with errors of {fits[0]:.1f} and "
-            f"{fits[1]:.1f} pixels; add a point outside of the plane, for example the flange"
+            f"{fits[1]:.1f} pixels; add a point outside the plane, for example the flange"
         )
 
 

@@ -162,7 +162,7 @@ def _yaml(path: Path) -> dict[str, Any]:
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         mark = getattr(error, "problem_mark", None)
         what = getattr(error, "problem", None) or str(error).splitlines()[0]
-        raise wrong(f"is not YAML: {what}", None if mark is None else mark.line + 1) from error
+        raise wrong(f"not valid YAML: {what}", None if mark is None else mark.line + 1) from error
     if not isinstance(found, dict):
         raise wrong("found no table; expected camera_matrix, distortion_coefficients, image_width")
     return found

@@ -42,11 +42,9 @@ def read_photo(path: Path) -> Pixels:
     except FileNotFoundError:
         raise RenderError(f"{path}: no such file") from None
     except UnidentifiedImageError:
-        raise RenderError(
-            f"{path}: is not a readable photo; expected {', '.join(PHOTOS)}"
-        ) from None
+        raise RenderError(f"{path} is not a readable photo; expected {', '.join(PHOTOS)}") from None
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        raise RenderError(f"{path}: cannot be read: {reason_of(error)}") from error
+        raise RenderError(f"{path} cannot be read: {reason_of(error)}") from error
 
 
 class Video:
@@ -70,10 +68,10 @@ class Video:
             raise RenderError(f"{path}: no such file") from None
         except (av.FFmpegError, OSError, ValueError) as error:
             reason = reason_of(error)
-            raise RenderError(f"{path}: is not a readable video: {reason}") from error
+            raise RenderError(f"{path} is not a readable video: {reason}") from error
         if not self._container.streams.video:
             self._container.close()
-            raise RenderError(f"{path}: has no video stream")
+            raise RenderError(f"{path} has no video stream")
         self._stream = self._container.streams.video[0]
         self._stream.thread_type = "AUTO"
         self.fps = float(self._stream.average_rate or self._stream.guessed_rate or _FPS)
@@ -114,7 +112,7 @@ class Video:
                 yield time, upright(frame)
         except (av.FFmpegError, OSError, ValueError) as error:
             if not is_any:
-                raise RenderError(f"{self.path}: cannot be read: {reason_of(error)}") from error
+                raise RenderError(f"{self.path} cannot be read: {reason_of(error)}") from error
 
     def close(self) -> None:
         self._container.close()
@@ -140,7 +138,7 @@ def read_frame(path: Path, time: float) -> Pixels:
             found, last = pixels, at
         if found is None or time > last + 1.5 / video.fps:
             end = f"; the video ends at {video.duration:.2f} s" if video.duration else ""
-            raise RenderError(f"{path}: has no frame at {time:.2f} s{end}")
+            raise RenderError(f"{path} has no frame at {time:.2f} s{end}")
         return found
 
 

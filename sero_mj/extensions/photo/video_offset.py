@@ -81,7 +81,7 @@ def find_offset(scene: Scene, path: Path, camera: PhotoCamera) -> FoundOffset:
         if end > _MAX_DURATION:
             raise UsageError(
                 f"--offset auto is limited to {_MAX_DURATION / 60:.0f} minutes, but the recording "
-                f"has {end / 60:.0f} minutes; use --offset S"
+                f"lasts {end / 60:.0f} minutes; use --offset S"
             )
         small = _small(camera)
         swept = _swept(mirror, small, fps, end)

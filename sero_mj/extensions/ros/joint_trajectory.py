@@ -103,7 +103,7 @@ def _order(found: list[str], names: list[str]) -> list[int]:
             raise _malformed("joint_names", "no joint", found=name, available=names)
     missing = [name for name in names if name not in found]
     if missing:
-        raise _malformed("joint_names", f"{', '.join(missing)} missing", expected="all joints")
+        raise _malformed("joint_names", f"lacks {', '.join(missing)}", expected="all joints")
     return [found.index(name) for name in names]
 
 

@@ -87,7 +87,7 @@ class Ros2Node(Answering):
     @model_validator(mode="after")
     def _is_reachable(self) -> Self:
         if self.port:
-            raise Problem("port", "is not used by ROS 2. Leave it out").error()
+            raise Problem("port", "is not used by ROS 2. Remove it").error()
         return self
 
     @property

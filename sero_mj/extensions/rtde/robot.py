@@ -103,7 +103,7 @@ class RtdeClient(Reachable):
     @model_validator(mode="after")
     def _fields_fit_each_other(self) -> Self:
         if self.interface == "ur_rtde" and "first_register" in self.model_fields_set:
-            reason = "requires interface = 'position' or 'torque'. Leave it out"
+            reason = "requires interface = 'position' or 'torque'. Otherwise, remove it"
             raise Problem("first_register", reason).error()
         constants = self.torque_constants
         if constants is not None and not (constants > 0.0).all():
@@ -113,7 +113,7 @@ class RtdeClient(Reachable):
 
     def make(self, model: RobotModel, timestep: float) -> RtdeRobot:
         if model.n != JOINTS:
-            reason = f"RTDE requires {JOINTS} joints; {model.name} has {model.n}"
+            reason = f"RTDE requires {JOINTS} joints, but {model.name} has {model.n}"
             raise Problem("kind", reason).error()
         return RtdeRobot(self, model, timestep, self.steps_per_cycle(self.cycle, timestep))
 

@@ -242,7 +242,7 @@ class DashboardPeer(Peer):
     def handle(self, received: bytes) -> bytes:
         *lines, rest = received.split(b"\n")
         if len(rest) > MAX_BYTES:
-            raise ProtocolError("sends a line that does not end")
+            raise ProtocolError(f"sends a line of more than {MAX_BYTES} bytes")
         for line in lines:
             self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
         return rest

@@ -76,7 +76,7 @@ class SweepTable:
                 self._read(path)
             elif path.exists() and not overwrite:
                 expected = "--resume to continue it, or --overwrite"
-                raise UsageError(Problem("", "exists already", str(path), expected=expected))
+                raise UsageError(Problem("", "already exists", str(path), expected=expected))
             else:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 about.write_text(json.dumps(sweep.settings, indent=2) + "\n", encoding="utf-8")
@@ -356,7 +356,7 @@ def plot_sweep(sweep: Sweep, rows: Mapping[int, Mapping[str, Any]], path: Path) 
         path.parent.mkdir(parents=True, exist_ok=True)
         figure.savefig(path, dpi=130)
     except (OSError, ValueError) as error:
-        raise RenderError(f"{path}: cannot be written: {error}") from error
+        raise RenderError(f"{path} cannot be written: {error}") from error
 
 
 def _draw(axis: Any, vary: Vary, rows: Mapping[int, Mapping[str, Any]], column: str) -> None:

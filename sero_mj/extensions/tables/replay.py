@@ -172,7 +172,7 @@ class TableReplay(FileSource):
         except CsvError as error:
             raise Problem("file", str(error)).error() from None
         if self.structure and self.columns.keys() - {TIME}:
-            raise ValueError("structure and columns exclude each other. Leave out one of them")
+            raise ValueError("structure and columns cannot be combined. Remove one of them")
         begin, end = self.start or 0.0, float(table.times[-1] - table.times[0])
         if begin > end:
             raise mismatch(begin, f"at most {end:g} s, the end of the table", key="start")

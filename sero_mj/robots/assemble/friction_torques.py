@@ -75,6 +75,6 @@ def friction_torques(world: WorldView, data: Any) -> Array:
         if not lack:
             found[part.joints] = friction_of(part.robot, velocities[part.joints])
         elif world not in _WITHOUT:
-            log.warning("no torque without friction: robots.%s: %s", name, lack)
+            log.warning("torques without friction are unavailable: robots.%s: %s", name, lack)
     _WITHOUT.add(world)
     return found

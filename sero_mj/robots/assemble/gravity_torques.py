@@ -90,7 +90,7 @@ def gravity_torques(world: WorldView, data: Any) -> Array:
     try:
         model = gravity_model(world)
     except SeroError as error:
-        log.warning("no torque without gravity: %s", error)
+        log.warning("torques without gravity are unavailable: %s", error)
         _WITHOUT.add(world)
         return found
     angles = world.joints.angles(data)

@@ -364,8 +364,7 @@ class RobotDeclaration(Declaration):
         if limits is not None and info.data.get(key) is not None:
             raise ValueError(f"found both {key} and {info.field_name}; expected one of them")
         if limits is not None and "prismatic" in (info.data.get("joint_types") or []):
-            found = f"{info.field_name} is for revolute joints only"
-            raise ValueError(f"{found}. Use {key} in rad and m")
+            raise ValueError(f"is for revolute joints only. Use {key} instead, in rad and m")
         return limits
 
     @model_validator(mode="before")

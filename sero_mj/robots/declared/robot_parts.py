@@ -82,7 +82,7 @@ class Posed(Declaration):
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
         message = f"is for revolute joints only, but {sliding[0]} has prismatic joints"
-        return [Problem("joint_angles_deg", f"{message}. Use joint_angles in rad and m")]
+        return [Problem("joint_angles_deg", f"{message}. Use joint_angles instead, in rad and m")]
 
 
 def _is_permutation(columns: list[str]) -> list[str]:
@@ -248,7 +248,7 @@ class LinkGeometry(Declaration):
         if self.shape is not None and self.shape != "generated":
             check_shape_size(self.shape, self.size)
         elif self.size is not None:
-            raise ValueError("size is only for primitive shapes. Use scale for a mesh")
+            raise ValueError("`size` is only for primitive shapes. Use `scale` for a mesh")
         return self
 
 

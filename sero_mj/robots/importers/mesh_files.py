@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 
 from ...base.declaration import LARGEST
-from ...base.errors import DeclarationError, Problem, reason_of
+from ...base.errors import DeclarationError, Problem, located, reason_of
 from ...base.frames import Array, Ints
 from ...base.paths import read_file
 from ...base.plugins import MESHES, load_plugin, plugins
@@ -162,7 +162,7 @@ def _store(key: _Key, pieces: tuple[MeshPiece, ...]) -> None:
 
 
 def _wrong(path: Path, reason: str) -> DeclarationError:
-    return Problem("", f"mesh {path}: {reason}").error()
+    return Problem("", located(f"mesh {path}", reason)).error()
 
 
 def _as_it_is(path: Path, ending: str, contents: bytes) -> tuple[MeshPiece, ...] | None:

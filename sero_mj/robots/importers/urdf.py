@@ -233,7 +233,7 @@ class UrdfFile:
             raise
         except XmlError as error:
             self._problems += [
-                Problem("", f"is not valid XML: {reason}", str(self.path), line)
+                Problem("", f"not valid XML: {reason}", str(self.path), line)
                 for line, reason in error.reasons
             ]
         except FileNotFoundError:

@@ -56,16 +56,16 @@ def parse_xml(contents: bytes, encoding: str | None = None) -> Element:
             recover=False, remove_comments=True, remove_pis=True, encoding=encoding,
         )  # fmt: skip
     except LookupError:
-        raise XmlError([(None, f"has the unknown encoding '{encoding}'")]) from None
+        raise XmlError([(None, f"the encoding '{encoding}' is unknown")]) from None
     try:
         root = etree.fromstring(contents, parser)
     except (etree.XMLSyntaxError, ValueError) as error:
         log = [(entry.line, _plain(entry.message)) for entry in parser.error_log]
-        raise XmlError([*dict.fromkeys(log)] or [(None, str(error) or "is empty")]) from None
+        raise XmlError([*dict.fromkeys(log)] or [(None, str(error) or "it is empty")]) from None
     declared = root.getroottree().docinfo.internalDTD
     if declared is not None and (entities := list(declared.iterentities())):
         names = ", ".join(f"'{entity.name}'" for entity in entities[:3])
-        raise XmlError([(None, f"declares entities ({names}); expected no entity declarations")])
+        raise XmlError([(None, f"it declares entities ({names}); expected no entity declarations")])
     return root
 
 

@@ -49,7 +49,7 @@ def _stiffness(value: Any) -> Any:
         array = np.diag(array)
     if array.shape != (6, 6):
         shape = " x ".join(map(str, array.shape)) or "one number"
-        raise ValueError(f"found {shape}; expected 6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6")
+        raise ValueError(f"found {shape}; expected 6 numbers (N/m, Nm/rad), or 6 x 6 numbers")
     if np.abs(array - array.T).max() > 1e-9 * max(np.abs(array).max(), 1.0):
         raise ValueError("found a matrix that is not symmetric; expected a symmetric matrix")
     lowest = float(np.linalg.eigvalsh(array).min())

@@ -28,14 +28,17 @@ if TYPE_CHECKING:
     from .robot_models import RobotModels
 
 
+_NUMBERS = "one number, or one per joint"
+
+
 def _one_or_more(value: Any) -> Any:
     if value is None:
         return None
     array = numbers(value)
     if array.ndim > 1 or array.size == 0:
-        raise Problem(
-            found=array.ndim, of="levels of lists", expected="one number or one per joint"
-        ).error()
+        found, of = (array.ndim, "dimensions") if array.ndim > 1 else (0, "numbers")
+        reason = "found an array with"
+        raise Problem("", reason, found=found, of=of, expected=_NUMBERS).error()
     return np.atleast_1d(array)
 
 

@@ -319,7 +319,7 @@ class Chirp(JointTargetMotion):
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:
         if 2.0 * self.ramp > self.duration:
             raise Problem(
-                "ramp", found=self.ramp, of="s", expected="up to half the duration"
+                "ramp", found=self.ramp, of="s", expected="at most half the duration"
             ).error()
         rate = 2.0 * np.pi * (self.end_frequency - self.start_frequency) / self.duration
         omega = (2.0 * np.pi * self.start_frequency + rate * times)[:, None]
@@ -353,7 +353,8 @@ class Recorded(JointTargetMotion):
             raise Problem(found=len(times), of="entries", expected="two or more").error()
         if (np.diff(times) <= 0).any():
             row = int(np.argmax(np.diff(times) <= 0)) + 1
-            raise ValueError(f"entry {row + 1} is {times[row]:g} s, after {times[row - 1]:g} s")
+            found = f"entry {row + 1} is {times[row]:g} s"
+            raise ValueError(f"{found}; expected more than {times[row - 1]:g} s")
         return times
 
     def motion(self, times: Array, robot: SerialRobot, start: Array) -> Motion:

@@ -82,7 +82,7 @@ class LoopGains:
         problems = [
             Problem(
                 "dynamics.motor_inertias",
-                f"joint {i + 1}: found 0; expected more than 0 where run.torque_control is true",
+                f"joint {i + 1}: found 0; expected more than 0, because run.torque_control is true",
             )
             for i in np.flatnonzero(motors <= 0).tolist()
         ]

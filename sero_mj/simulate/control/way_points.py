@@ -60,7 +60,7 @@ _Arrivals = Annotated[Vector | None, AfterValidator(_rising)]
 def _one_of_two(times: Array | None, speed: float | None) -> None:
     if (times is None) == (speed is None):
         found = "neither" if times is None else "both"
-        raise ValueError(f"found {found} of `times` and `speed`; expected exactly one of them")
+        raise ValueError(f"found {found}; expected exactly one of `times` and `speed`")
 
 
 def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]:
@@ -137,7 +137,7 @@ class WayPoints(JointTargetMotion):
             except ValueError as error:
                 joint = robot.names[int(np.argmax(_shares(line, rates)))]
                 when = f"to arrive at t = {start + duration:.3f} s"
-                message = f"joint {joint} is too slow {when}: {error}; expected more time"
+                message = f"joint {joint} is too slow {when}: {error}; allow more time"
                 raise Problem("times", message).error() from None
         return np.array(blends)
 
@@ -299,7 +299,7 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
         return duration * _THIRD
     needed = 4.0 / duration**2
     if acceleration < needed * (1.0 - 1e-9):
-        raise ValueError(f"{needed / acceleration:.3g} times the acceleration would be needed")
+        raise ValueError(f"it would need {needed / acceleration:.3g} times its acceleration limit")
     root = np.sqrt(max(duration**2 - 4.0 / acceleration, 0.0))
     return float((duration - root) / 2.0)
 

@@ -238,7 +238,7 @@ class IsolatedLibrary(Controller):
             patience = self._declared.patience
             raise self._error(sensed, f"{self._name} did not return within {patience:g} s")
         if answer != library_host.DONE:
-            raise self._error(sensed, f"{self._name} has ended its process: {self._how_it_ended()}")
+            raise self._error(sensed, f"{self._name} ended its process: {self._how_it_ended()}")
         if self._memory[-len(_GUARD) :] != _GUARD:
             self.close()
             raise _writes_too_much(self._name, self._model, sensed.time)

@@ -149,10 +149,10 @@ class RunLog:
             rows &= self.times <= end
             bounds.append(f"to {end:g} s")
         if not rows.any():
-            has = "has no rows"
+            has = ""
             if len(self.times):
-                has = f"lasts from {self.times[0]:g} s to {self.times[-1]:g} s"
-            raise UsageError(f"run {self.name} {has}; it has no rows {' '.join(bounds)}")
+                has = f"; it lasts from {self.times[0]:g} s to {self.times[-1]:g} s"
+            raise UsageError(f"run {self.name} has no rows {' '.join(bounds)}{has}")
         signals = {event: values[rows] for event, values in self.signals.items()}
         return RunLog(self.robots, signals, self.times[rows], self.name)
 

@@ -108,7 +108,7 @@ class RunSource(Source):
     column_major: bool = False
     run: Any = Field(exclude=True)
 
-    _structure_is: ClassVar[str] = "that of the run"
+    _structure_is: ClassVar[str] = "determined by the run"
     _shown: int = PrivateAttr(-1)
     _error: SimulationError | None = PrivateAttr(None)
 

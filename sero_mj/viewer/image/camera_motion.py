@@ -58,7 +58,7 @@ class CameraPath:
         if not keys:
             raise Problem("keys", "is empty", expected=_EXPECTED).error()
         wrong = [
-            Problem(f"keys.{i + 1}.time", found=b.time, expected=f"more than {a.time:g} s, before")
+            Problem(f"keys.{i + 1}.time", found=b.time, expected=f"more than {a.time:g} s")
             for i, (a, b) in enumerate(pairwise(keys))
             if b.time <= a.time
         ]

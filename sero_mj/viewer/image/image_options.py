@@ -58,7 +58,7 @@ class SizeOptions(Options):
     """Size and quality of images.
 
     Attributes:
-        size: width and height, pixels.
+        size: width and height in pixels.
         quality: draft has no shadows and no anti-aliasing, which is much faster with software
             OpenGL; fine is for print at 300 dots per inch, and adds motion blur to videos.
         renderer: classic (OpenGL), or the name of a renderer that check lists (default: a renderer
@@ -75,7 +75,7 @@ class StereoOptions(Options):
 
     Attributes:
         stereo: side-by-side has half of the image for each eye; anaglyph is for red-cyan glasses.
-        eye_distance: distance between the eyes, m; larger values exaggerate depth.
+        eye_distance: distance between the eyes in m; larger values exaggerate depth.
     """
 
     stereo: Stereo | None = None
@@ -120,7 +120,7 @@ class ImageOptions(SizeOptions, StereoOptions, CameraOptions):
         render_pass: write the link or object at each pixel, or the depth of each pixel, to a .png
             or .npy file instead of the image.
         selected: highlight a joint as if it were clicked.
-        wait: maximum time to wait for the first packet of each source, s.
+        wait: maximum time to wait for the first packet of each source, in seconds.
     """
 
     clicks: Annotated[list[_GivenClick], Option("X,Y[,HOW]", ("--click",))] = []
@@ -134,7 +134,7 @@ class VideoOptions(ImageOptions, MotionOptions):
     """Options of a video of a scene; the fields are keyword arguments of `render_video`.
 
     Attributes:
-        duration: length of the video, s.
+        duration: length of the video in seconds.
         fps: frames per second (default: 30, or 20 for a GIF).
     """
 

@@ -320,7 +320,7 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
         names = ", ".join(mirror.sources)
         raise RenderError(f"{names}: found no valid packet; expected at least one")
     if left is not None and left <= 0:
-        raise RenderError(f"found a start at {begin:g} s; the sources end at {max(ends):g} s")
+        raise RenderError(f"found a start at {begin:g} s, but the sources end at {max(ends):g} s")
     if seconds is None:
         seconds = left or (DEFAULT_SECONDS if mirror.sources else 0.0)
     if seconds > (limit := longest(mirror.world, fps)):

@@ -232,7 +232,7 @@ def _pickled(shown: Any) -> bytes:
         _Pickler(buffer).dump(shown)
     except (TypeError, AttributeError, pickle.PicklingError) as error:
         raise UsageError(
-            f"scene: cannot be sent to the viewer's process ({error}). Its sources and functions "
-            "must be picklable; define them at the top level of a module"
+            f"the scene cannot be sent to the viewer's process ({error}). Its sources and "
+            "functions must be picklable; define them at the top level of a module"
         ) from error
     return buffer.getvalue()

@@ -152,7 +152,7 @@ def _mirror_of(pickled: bytes) -> tuple[Any, Callable[[Path], ViewerMemory]]:
         shown = pickle.loads(pickled)
     except (AttributeError, ImportError) as error:
         raise UsageError(
-            f"scene: cannot be read by the viewer's process ({error}). Define your own sources "
+            f"the scene cannot be read by the viewer's process ({error}). Define your own sources "
             "and other classes in a module that can be imported, not in the script or notebook "
             "itself"
         ) from None

@@ -154,7 +154,7 @@ async def _take(connection: Any, may_upload: MayUpload) -> Path:
             try:
                 await _take_file(connection, folder / name, size, check)
             except OSError as error:
-                raise UsageError(f"{name}: cannot be stored: {error.strerror}") from error
+                raise UsageError(f"{name} cannot be stored: {error.strerror}") from error
             except ValueError as error:
                 raise UsageError(f"{name}: {error}") from error
         check()

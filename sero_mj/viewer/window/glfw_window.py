@@ -331,4 +331,4 @@ def _make_window(size: tuple[int, int], title: str) -> Any:
             if window:
                 return window
     reason = errors[-1] if errors else "no OpenGL"
-    raise RenderError(f"cannot open a window: {reason}; use `sero-mj render`, which opens none")
+    raise RenderError(f"cannot open a window: {reason}; `sero-mj render` needs no window")

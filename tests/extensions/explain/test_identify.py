@@ -283,7 +283,7 @@ def test_several_recordings_have_one_row_each(
         (["--plot", "x.jpg"], "--plot: found 'x.jpg'; expected a name that ends in .png, .pdf"),
         (["-o", "x.txt"], "--output: found 'x.txt'; expected a name that ends in .toml"),
         (["--from", "3", "--to", "2"], "--to: found 2; expected more than 3 s"),
-        (["--to", "0.2"], "run: has 0.2 s of 'lwr'"),
+        (["--to", "0.2"], "run has 0.2 s of 'lwr'"),
     ],
 )
 def test_invalid_arguments_are_rejected(

@@ -306,7 +306,7 @@ def test_robot_on_the_floor_starts_there(tmp_path: Any) -> None:
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("lwr/reech", {}, "no task of lwr 'reech'; did you mean 'reach'?"),
+        ("lwr/reech", {}, "no task 'reech' of lwr; did you mean 'reach'?"),
         ("lvr/reach", {}, "no robot model 'lvr'; did you mean 'lwr'?"),
         ("impedance_pish", {}, "no environment 'impedance_pish'; did you mean 'impedance_push'?"),
         ("no.toml", {}, "no.toml: no such file"),

@@ -138,10 +138,10 @@ def test_observations_are_clipped_to_finite_bounds() -> None:
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [
-        ("reach", {}, 'robot: is required; expected a name, folder or file such as robot="pand'),
+        ("reach", {}, 'robot is required; expected a name, folder or file such as robot="pand'),
         ("reach", {"robot": "pnda"}, "no robot model 'pnda'; did you mean 'panda'?"),
-        ("reach", {"robot": {"show_axes": True}}, "robot: is required"),
-        ("scenario", {}, 'scenario: is required; expected a name or a file such as scenario="my'),
+        ("reach", {"robot": {"show_axes": True}}, "robot is required"),
+        ("scenario", {}, 'scenario is required; expected a name or a file such as scenario="my'),
         ("scenario", {"scenario": "no.toml"}, "no.toml: no such file"),
         ("lwr-reach", {"tim_limit": 2}, "tim_limit: unknown option; did you mean 'time_limit'?"),
         ("lwr-reach", {"render_mode": "rgb"}, "render_mode: found 'rgb'; available: human, rgb_ar"),

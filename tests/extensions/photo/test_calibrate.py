@@ -188,7 +188,7 @@ def test_points_are_read_from_csv_and_toml_and_errors_are_reported(
     for text, lines in (
         ("point,x,y\nflng,10,20\nA3,900,20\nA3,a,b\n", [
             "p.csv:2: no frame or joint 'flng'; did you mean 'flange'?",
-            "p.csv:3: pixel 900, 20 is outside of the photo, which has 640x400 pixels",
+            "p.csv:3: pixel 900, 20 is outside the photo, which has 640x400 pixels",
             "p.csv:4: found 'A3,a,b'; expected the name of a point and its pixel",
         ]),
         ("name,u,v\n", [

@@ -136,13 +136,13 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
     ("name", "text", "problems"),
     [
         ("c.yaml", FRAME, [
-            "camera_matrix: is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels from a "
+            "camera_matrix is required: fx, 0, cx, 0, fy, cy, 0, 0, 1 in pixels from a "
             "camera calibration",
-            "image_width: is required: the size of the images in pixels",
-            "image_height: is required: the size of the images in pixels",
+            "image_width is required: the size of the images in pixels",
+            "image_height is required: the size of the images in pixels",
         ]),
         ("c.yaml", ROS, [
-            "frame: is required: the pose of the camera in the world, 4 x 4 or { xyz = [...], "
+            "frame is required: the pose of the camera in the world, 4 x 4 or { xyz = [...], "
             "quat = [...] }, with x to the right, y down and z forward; `sero-mj calibrate` "
             "computes it",
         ]),
@@ -160,11 +160,11 @@ def test_written_camera_is_read_back(lens: str, name: str, tmp_path: Path) -> No
          ["camera_matrix: found 8 numbers; expected 3 x 3"]),
         ("c.yaml", ROS.replace("[-0.2", "[.nan") + FRAME, ["distortion_coefficients: found "]),
         ("c.yaml", ROS.replace("-0.2, 0.05", "-0.9, 0.0") + FRAME,
-         ["distortion_coefficients: are invalid in "]),
+         ["distortion_coefficients are invalid in "]),
         ("c.yaml", ROS + FRAME.replace("quat: [0.5,", "quat: ["),
          ["frame: 'quat' has 3 numbers; expected 4"]),
         ("c.yaml", ROS + "frame: [[1, 0, 0, 0]]\n", ["frame: found 4 numbers; expected 4 x 4"]),
-        ("c.yaml", "a: [1,\nb: }", [":2: is not YAML: "]),
+        ("c.yaml", "a: [1,\nb: }", [":2: not valid YAML: "]),
         ("c.yaml", "just words", ["found no table; expected camera_matrix"]),
         ("c.toml", TOML.replace("camera_matrix", "camera_matrx"),
          ["camera_matrx: unknown key; did you mean 'camera_matrix'?"]),

@@ -369,7 +369,7 @@ def test_table_of_another_sweep_is_not_resumed(file: Path, tmp_path: Path) -> No
         SweepTable(sweep(file, f"{STIFFNESS}=50:900"), path, resume=True)
     with raises_with(
         UsageError,
-        reason="exists already",
+        reason="already exists",
         file=f"{tmp_path}/out.csv",
         expected="--resume to continue it, or --overwrite",
     ):

@@ -56,7 +56,7 @@ def test_event_with_missing_numbers_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(CsvError) as caught:
         TablePackets(path, Structure("7F1F"), rate=1)
     assert str(caught.value) == (
-        f"{path}: has 2 of the 7 numbers of values0; missing columns: values0[1], values0[3], "
+        f"{path} has 2 of the 7 numbers of values0; missing columns: values0[1], values0[3], "
         "values0[4], values0[5], ..."
     )
 

@@ -328,7 +328,7 @@ def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_pat
         (ARM % "jointAngles [1 2 3]",
          ["2: robots.arm.joint_angles: found 3 entries; expected 2, one per row"]),
         (ARM % "torques [1 2]",
-         ["2: arm.torques: is an event without a value; expected a ROUTE TO arm.torques"]),
+         ["2: arm.torques is an event without a value; expected a ROUTE TO arm.torques"]),
         (ARM % "baseFrame 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1",
          ["2: arm.baseFrame: found 2 0 0 0 0 1 0 0 0 0 1 0 0 0 0 1; expected a rotation matrix, "
           "with translation and 1 in the fourth row"]),
@@ -344,12 +344,12 @@ def test_matrices_with_the_translation_in_the_fourth_column_are_reported(tmp_pat
         ("DEF udp UdpReceiver {\n structure \"7Z\"\n}",
          ["3: sources.udp.structure: structure '7Z', character 2: found 'Z', expected"]),
         (f"{ARM % ''} USE arm",
-         ["2: arm: is used twice; expected a second SerialRobot node instead of USE"]),
+         ["2: arm is used twice; expected a second SerialRobot node instead of USE"]),
         (f"Transform {{ scale 2 2 2 children {ARM % ''} }}",
-         ["2: arm.baseFrame: is in a Transform with a scale, but robots cannot be scaled"]),
+         ["2: arm.baseFrame is in a Transform with a scale, but robots cannot be scaled"]),
         (ARM % "directory \"http://x.org/lwr\" filenames [ \"a.wrl\" ]",
          ["2: arm.directory: found 'http://x.org/lwr'; expected a folder"]),
-        ("DEF shm ShmReader { structure \"2F\" }", ["2: sources.shm.block: is required"]),
+        ("DEF shm ShmReader { structure \"2F\" }", ["2: sources.shm.block is required"]),
     ],
 )  # fmt: skip
 def test_errors_are_reported_with_lines(text: str, messages: list[str], tmp_path: Path) -> None:
