@@ -1,11 +1,11 @@
 """Measures how often the verdicts of `sero-mj compare` are right, by their confidence.
 
     python benchmarks/verdicts [--robots lwr fr3 g3] [--seeds 3] [--kinds KIND ...] [--jobs 2]
-                               [--out out/verdicts]
+                               [--out out/verdicts] [--resume]
 
 Each run has one fault. An independent simulation in plain MuJoCo writes it to a table (see
 `plant`), which the product analyzes with the model, as `compare --against-model` does. Writes
-results.json, reliability.png, reliability.svg and verdicts.md.
+results.jsonl (one line per run), reliability.png, reliability.svg and verdicts.md.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ import json
 import logging
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the product of this checkout
@@ -35,6 +36,7 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", choices=known, default=known, metavar="KIND")
     parser.add_argument("--jobs", type=int, default=2, help="number of processes (default: 2)")
     parser.add_argument("--out", type=Path, default=Path("out/verdicts"))
+    parser.add_argument("--resume", action="store_true", help="continue an interrupted measurement")
     options = parser.parse_args()
     tasks = [
         (robot, kind, seed)
@@ -42,15 +44,29 @@ def main() -> int:
         for kind in options.kinds
         for seed in range(options.seeds + _MORE_CLEAN * (kind == CLEAN))
     ]
-    rows = []
-    quiet = {"initializer": logging.disable, "initargs": (logging.WARNING,)}
-    with ProcessPoolExecutor(options.jobs, **quiet) as pool:
-        for row in pool.map(measure, tasks):
-            rows.append(row)
-            print(f"\r{len(rows)} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)
-    print(file=sys.stderr)
     options.out.mkdir(parents=True, exist_ok=True)
-    (options.out / "results.json").write_text(json.dumps(rows, indent=1) + "\n", "utf-8")
+    results = options.out / "results.jsonl"
+    if not options.resume:
+        results.write_text("", "utf-8")
+    rows = [json.loads(line) for line in results.read_text("utf-8").splitlines()]
+    done = {(row["robot"], row["fault"], row["seed"]) for row in rows}
+    tasks = [task for task in tasks if task not in done]
+    # New processes now and then, because the product caches the tables that it has read.
+    with (
+        ProcessPoolExecutor(
+            options.jobs,
+            get_context("spawn"),
+            logging.disable,
+            (logging.WARNING,),
+            max_tasks_per_child=60,
+        ) as pool,
+        results.open("a", encoding="utf-8") as file,
+    ):
+        for count, row in enumerate(pool.map(measure, tasks), 1):
+            rows.append(row)
+            print(json.dumps(row), file=file, flush=True)
+            print(f"\r{count} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)
+    print(file=sys.stderr)
     for ending in ("png", "svg"):
         report.draw(rows, options.out / f"reliability.{ending}")
     text = report.whole(rows)

@@ -384,7 +384,7 @@ def friction_warming(p: Plant, j: int) -> Any:
 
 @at_joint(friction, loaded, FRICTION, ("load friction", "joint"))
 def friction_of_load(p: Plant, j: int) -> Any:
-    usual = np.hypot(*p.loads())[j]
+    usual = max(np.hypot(*p.loads())[j], 0.1 * p.robot.limits[j])  # at most 0.25 Nm per Nm
     return lambda s: abs(s.torques[j]) / usual
 
 
