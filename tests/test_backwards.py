@@ -181,8 +181,8 @@ def test_robot_that_follows_another_needs_no_packet() -> None:
 @pytest.mark.parametrize(
     ("origin", "structure", "message"),
     [
-        ("udp.values0", "9F", "values0 has 9 values; lwr.joint_angles takes 3, one per joint"),
-        ("udp.values0[6:9]", "8F", "values0 has 8 values; lwr.joint_angles is udp.values0[6:9]"),
+        ("udp.values0", "9F", "9 values, but lwr.joint_angles takes 3, one per joint"),
+        ("udp.values0[6:9]", "8F", "8 values, but lwr.joint_angles is udp.values0[6:9]"),
     ],
 )
 def test_other_structure_without_the_routed_values_is_rejected(
@@ -191,7 +191,7 @@ def test_other_structure_without_the_routed_values_is_rejected(
     scene = scene_of("9F" if "[" in origin else "3F", {"lwr.joint_angles": origin})
     with pytest.raises(UsageError) as caught:
         MotionPackets(scene, structure=structure)
-    assert str(caught.value) == f"structure '{structure}': {message}"
+    assert str(caught.value) == f"structure '{structure}': values0 has {message}"
 
 
 def test_longer_structure_carries_the_routed_values() -> None:

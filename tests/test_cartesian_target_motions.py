@@ -147,7 +147,7 @@ def test_unreachable_pose_is_reported_with_its_time(frame_table: Any, message: s
         ),
         (
             {"poses": [{}]},
-            [Problem("", "found neither of `times` and `speed`; expected exactly one of them")],
+            [Problem("", "found neither; expected exactly one of `times` and `speed`")],
         ),
         (
             {"poses": [{"xzy": 1}], "times": [1]},

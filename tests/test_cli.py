@@ -107,7 +107,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         ),
         (
             ["render", "lwr", "-o", "x.png", "--fps", "3"],
-            "expected a video (.mp4, .webm, .gif) with --fps",
+            "--fps needs a video (.mp4, .webm, .gif)",
         ),
         (["render", "lwr", "-o", "x.png", "--size", "12"], "expected WIDTHxHEIGHT, e.g. 1280x800"),
         (["render", "lwr", "-o", "x.png", "--camera", "top"], "no camera 'top'"),
@@ -119,7 +119,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
             "found 2 entries",
         ),
         (["render", "lwr", "-o", "x.mp4", "--duration", "nan"], "expected a number above 0"),
-        (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers; lwr has 7 joints"),
+        (["check", "--fk", "lwr", "--joint-angles", "1,2"], "found 2 numbers, but lwr has 7"),
         (
             ["check", "--fk", "lwr", "--joint-angles", "1,x"],
             "found '1,x'; expected numbers separated by commas",
@@ -127,7 +127,7 @@ def test_old_names_of_commands_work_with_a_note(old: str, new: str, capsys) -> N
         (["check", "--fk", "lrw"], "no scene or robot 'lrw'; did you mean 'lwr'?"),
         (
             ["send", "lwr_udp", "--structure", "6F6F"],
-            "values0 has 6 values; lwr.joint_angles takes 7",
+            "values0 has 6 values, but lwr.joint_angles takes 7",
         ),
         (["send", "lwr_udp", "--structure", "7G"], "structure '7G', character 2: found 'G'"),
         (
@@ -208,7 +208,7 @@ def test_interrupted_video_is_saved(tmp_path) -> None:
     process.send_signal(signal.SIGINT)
     _, err = process.communicate(timeout=30)
     assert process.returncode == 130
-    frames = re.search(r"film.mp4 has the first (\d+) frames", err)
+    frames = re.search(r"film.mp4 contains the first (\d+) frames", err)
     assert frames, err
     assert "Traceback" not in err
     with av.open(str(film)) as container:
@@ -271,7 +271,7 @@ def test_check_prints_route_expressions(capsys, tmp_path) -> None:
     file.write_text(scene + routes.replace("deg", "mm"))
     status, _, err = run(capsys, "check", str(file))
     assert status == 2
-    message = "udp.values0[2:] * mm is a length (m); lwr.joint_angles takes an angle (rad)"
+    message = "udp.values0[2:] * mm is a length (m), but lwr.joint_angles takes an angle (rad)"
     assert f"s.toml:7: routes.lwr.joint_angles: {message}" in err
 
 

@@ -119,7 +119,7 @@ def test_condition_switches_a_flag(condition: str, holds: bool | None) -> None:
         (
             "lwr.torques",
             "udp.values0 > 1",
-            "comparisons are only for toggles; lwr.torques takes 2, one",
+            "comparisons are only for toggles, but lwr.torques takes 2, one",
         ),
         ("lwr.show_arrows", "udp.values0 > 1 and udp.values1", "expected a comparison such as"),
         (
@@ -415,7 +415,7 @@ def test_mirror_derives_velocities_for_friction() -> None:
         ({"fr3.torques": "fr3.gravity_torque"}, {},
          "no output 'gravity_torque' of fr3; did you mean 'gravity_torques'?"),
         ({"fr3.joint_angles": "fr3.gravity_torques"}, {},
-         "fr3.gravity_torques is a torque (Nm); fr3.joint_angles takes an angle (rad)"),
+         "fr3.gravity_torques is a torque (Nm), but fr3.joint_angles takes an angle (rad)"),
         ({"fr3.torques": "udp.values0 * deg - fr3.gravity_torques"}, {},
          "expected the same unit on both sides; found an angle (rad) and a torque (Nm)"),
         ({"fr3.joint_angles": "0.1 * fr3.billboard_values",

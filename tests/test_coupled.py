@@ -127,8 +127,8 @@ def test_slices_of_packets_in_other_units_are_coupled() -> None:
 def test_wrong_number_of_values_is_reported_with_both_valid_numbers() -> None:
     scene = routed({"finger.joint_angles": "udp.values0"}, "3F")
     assert [str(problem) for problem in wire(scene).problems] == [
-        "routes.finger.joint_angles: udp.values0 has 3 values; finger.joint_angles takes 4, one "
-        "per joint, or 2 without the coupled ones"
+        "routes.finger.joint_angles: udp.values0 has 3 values, but finger.joint_angles takes 4, "
+        "one per joint, or 2 without the coupled ones"
     ]
 
 

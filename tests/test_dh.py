@@ -291,8 +291,10 @@ def test_batched_poses_equal_single_ones():
 def test_wrong_number_of_joint_angles_is_rejected():
     table = table_in_degrees(PUMA_STANDARD, "standard")
     with raises_with(
-        key="joint_angles", reason="found shape (2, 5)", expected="6 in the last axis"
+        key="joint_angles", reason="found shape (2, 5)", expected="a last axis of length 6"
     ):
         table.frames(np.zeros((2, 5)))
-    with raises_with(key="joint_angles", reason="found shape ()", expected="6 in the last axis"):
+    with raises_with(
+        key="joint_angles", reason="found shape ()", expected="a last axis of length 6"
+    ):
         table.jacobian(0.5)

@@ -73,7 +73,7 @@ def test_imported_file_is_opened_by_its_suffix_and_used_in_scenes(sdf: Path) -> 
 def test_unreadable_file_of_an_importer_plugin_is_named(sdf: Path, text: str, what: str) -> None:
     (sdf / "broken.sdf").write_text(text)
     output = run(sdf, "", "check", "broken.sdf", code=2)
-    assert "broken.sdf: " in output and "Traceback" not in output
+    assert "broken.sdf " in output and "Traceback" not in output
     assert what in output or "cannot be read by Sdf" in output
 
 

@@ -172,7 +172,7 @@ def test_path_is_a_row_of_doubles_fading_towards_its_start() -> None:
         (
             '[doubles.d]\nof = "lwr"\n[sources.u]\nkind = "udp"\nport = 1\nstructure = "6F"\n'
             '[routes]\n"d.joint_angles" = "u.values0"',
-            "s.toml:10: routes.d.joint_angles: u.values0 has 6 values; "
+            "s.toml:10: routes.d.joint_angles: u.values0 has 6 values, but "
             "d.joint_angles takes 7, one per joint",
         ),
     ],

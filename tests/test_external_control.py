@@ -249,7 +249,7 @@ def test_library_gets_the_first_step_and_the_gravity_flag(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("function", "expected"),
     [
-        ("crash", r"law.so: crash has ended its process: SIGSEGV"),
+        ("crash", r"law.so: crash ended its process: SIGSEGV"),
         ("hang", "hang did not return within 0.5 s"),
     ],
 )
@@ -312,7 +312,7 @@ def test_process_forked_by_an_isolated_library_ends_with_it(
     pid = int((folder / "forked").read_text())
     assert until(lambda: not is_running(pid))
     simulated = simulation(folder, LIBRARY, isolated=True, function="forks_and_exits")
-    with pytest.raises(SimulationError, match="forks_and_exits has ended its process: exit status"):
+    with pytest.raises(SimulationError, match="forks_and_exits ended its process: exit status"):
         signals(simulated)
 
 

@@ -41,7 +41,7 @@ def test_independent_joints_suffice_and_wrong_numbers_are_rejected() -> None:
     )  # fmt: skip
     flange = ForwardKinematics(robot)
     np.testing.assert_allclose(flange([0.3, 0.5]), flange([0.3, 0.5, -0.3]), atol=1e-15)
-    with pytest.raises(ValueError, match=r"found shape \(4,\); expected 3 in the last axis"):
+    with pytest.raises(ValueError, match=r"found shape \(4,\); expected a last axis of length 3"):
         flange(np.zeros(4))
 
 

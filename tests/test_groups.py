@@ -103,8 +103,8 @@ def test_coupled_joints_can_be_omitted_from_the_packet_of_a_group() -> None:
 def test_wrong_size_is_reported_with_the_count_of_every_robot() -> None:
     scene = justin({"justin.joint_angles": "udp.values0[0:8]", "justin.torques": "udp.values1"})
     assert route_problems(scene) == [
-        "routes.justin.joint_angles: udp.values0[0:8] has 8 values; justin.joint_angles takes 9: "
-        "torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
+        "routes.justin.joint_angles: udp.values0[0:8] has 8 values, but justin.joint_angles takes "
+        "9: torso 2, head 1, left 3, right 3, or 7 without the coupled joints"
     ]
 
 

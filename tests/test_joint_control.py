@@ -343,9 +343,10 @@ STIFFNESSES = "0 to 5000 Nm/rad; kind = 'joint_position' can be stiffer"
             {"stiffness": [[1, 2]]},
             Problem(
                 "stiffness",
+                "found an array with",
                 found=2,
-                of="levels of lists",
-                expected="one number or one per joint",
+                of="dimensions",
+                expected="one number, or one per joint",
             ),
         ),
         (

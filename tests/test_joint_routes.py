@@ -166,7 +166,7 @@ def test_each_error_is_reported_once() -> None:
     ]
     three = {"from": "udp.values0", "joints": ["l_leg", "stem"]}
     assert problems_of({"fork.joint_angles": three}) == [
-        f"{place}udp.values0 has 2 values; fork.joint_angles takes 3: l_hip, l_knee, stem"
+        f"{place}udp.values0 has 2 values, but fork.joint_angles takes 3: l_hip, l_knee, stem"
     ]
     assert problems_of({"fork.arm.torques": "udp.values0"}) == [
         "routes.fork.arm.torques: fork has no joint or limb 'arm'; available: l_hip, l_knee, "
@@ -186,11 +186,11 @@ def test_each_error_is_reported_once() -> None:
         "routes.fork.torques: l_hip occurs twice; expected each joint once"
     ]
     assert problems_of({"fork.l_leg.joint_angles": "udp.values0 * Nm"}) == [
-        "routes.fork.l_leg.joint_angles: udp.values0 * Nm is a torque (Nm); fork.joint_angles "
+        "routes.fork.l_leg.joint_angles: udp.values0 * Nm is a torque (Nm), but fork.joint_angles "
         "takes an angle (rad)"
     ]
     assert problems_of({"fork.l_leg.base_frame": "udp.values0"}) == [
-        "routes.fork.l_leg.base_frame: joint names are only for inputs with a value per joint; "
+        "routes.fork.l_leg.base_frame: joint names are only for inputs with a value per joint, but "
         "fork.base_frame takes a 4 x 4 frame"
     ]
     assert problems_of({"fork.l_leg.torqes": "udp.values0"}) == [

@@ -312,7 +312,7 @@ def test_panel_changes_controllers_and_gains_and_reports() -> None:
     assert gains.nullspace_stiffness.tolist() == [25.0]
     panel.build(ScriptedWidgets({"##A1": 30.0}))
     assert played.steering.goals["lwr"].angles[0] == pytest.approx(np.deg2rad(30))
-    panel.build(ScriptedWidgets({"target to robot": True}))
+    panel.build(ScriptedWidgets({"move target to robot": True}))
     assert played.steering.goals["lwr"].angles == pytest.approx(played.lwr.measured)
     panel.build(ScriptedWidgets({"##control": "gravity compensation"}))
     panel.build(ScriptedWidgets({"damping": 3.0}))

@@ -146,7 +146,7 @@ dh_params = [[0.0, 0.0, 0.0, 0.1]]
         ),
         (
             '[routes]\n"arm.torques" = "lwr/flange"',
-            "s.toml:7: routes.arm.torques: lwr/flange is a 4 x 4 frame; "
+            "s.toml:7: routes.arm.torques: lwr/flange is a 4 x 4 frame, but "
             "arm.torques takes 1, one per joint",
         ),
         (
@@ -219,7 +219,7 @@ def test_packets_place_bases_frames_and_vectors() -> None:
     with pytest.raises(DeclarationError) as caught:
         Mirror(scene)
     assert str(caught.value) == (
-        "routes.arm.base_frame: udp.matrices0 is 2 x 4 x 4; "
+        "routes.arm.base_frame: udp.matrices0 is 2 x 4 x 4, but "
         "arm.base_frame takes a 4 x 4 frame, 1M in the structure, or 7 numbers x, y, z, qw, qx, "
         "qy, qz"
     )

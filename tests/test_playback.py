@@ -118,8 +118,8 @@ def test_packets_that_cannot_be_decoded_or_packed_are_counted(tmp_path: Path) ->
     [
         (
             "joints:2F",
-            "'arm' in {file} has the events values0, vectors0, matrices0; 'joints:2F' has joints; "
-            "no event is common",
+            "'arm' in {file} has the events values0, vectors0, matrices0, but 'joints:2F' has "
+            "joints",
         ),
         ("3F", "values0 of 'arm' in {file} is 2; '3F' expects 3"),
     ],

@@ -97,12 +97,12 @@ def test_every_panel_has_its_lines_in_their_colors(tmp_path: Path, figures: list
         assert share_of(pixels, ORANGE) > 1e-3
         assert share_of(pixels, BLUE) > 1e-3
         assert share_of(pixels_of(path, figure, error), INK) > 1e-4
-    marks = [[each for each in panel.lines if each.get_label() == "torque error found"]
+    marks = [[each for each in panel.lines if each.get_label() == "torque error detected"]
              for row in figure.axes for panel in row]  # fmt: skip
     assert [bool(each) for each in marks] == [i == 7 for i in range(14)]  # A3, its error
     assert share_of(pixels_of(path, figure, figure.axes[3][1]), FAULT) > 1e-3
     legend = legend_of(figure)
-    assert legend == ["commanded", "measured", "disturbance", "fault", "torque error found"]
+    assert legend == ["commanded", "measured", "disturbance", "fault", "torque error detected"]
 
 
 def test_limits_are_drawn_where_torques_come_close(tmp_path: Path, figures: list[Figure]) -> None:
@@ -216,7 +216,7 @@ def test_invalid_plots_are_rejected(tmp_path: Path) -> None:
     with raises_with(UsageError, key="size_mm", **expected):
         plot_run(log, tmp_path / "x.png", size_mm=(1e6, 100.0))
     missing = "cannot be written: No such file or directory"
-    with raises_with(RenderError, reason=f"{tmp_path}/nowhere/x.png: {missing}"):
+    with raises_with(RenderError, reason=f"{tmp_path}/nowhere/x.png {missing}"):
         plot_run(log, tmp_path / "nowhere" / "x.png")
 
 

@@ -431,8 +431,8 @@ def test_robot_without_declared_friction_has_no_such_arrows(
         assert shown[:7] == pytest.approx(np.ones(7))
         assert np.isnan(shown[7:]).all()
     assert [record.message for record in caplog.records] == [
-        "no torque without friction: robots.fr3: dynamics has neither viscous_friction nor "
-        "coulomb_friction"
+        "torques without friction are unavailable: robots.fr3: dynamics has neither "
+        "viscous_friction nor coulomb_friction"
     ]
 
 

@@ -180,7 +180,7 @@ def test_valid_route_has_robot_input_source_and_event() -> None:
         (
             "arm.torques",
             "udp.values2",
-            ["udp.values2 has 3 values; arm.torques takes 2, one per joint"],
+            ["udp.values2 has 3 values, but arm.torques takes 2, one per joint"],
         ),
         (
             "arn.torques",

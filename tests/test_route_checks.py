@@ -18,50 +18,50 @@ from sero_mj.robots.declared.inputs import list_inputs
     ("target", "origin", "message"),
     [
         ("lwr.joint_angles", "udp.values2[1:]", ""),
-        ("lwr.joint_angles", "udp.values2[0:1]", "udp.values2[0:1] has 1 value; "
+        ("lwr.joint_angles", "udp.values2[0:1]", "udp.values2[0:1] has 1 value, but "
          "lwr.joint_angles takes 2, one per joint"),
-        ("lwr.joint_angles", "udp.values2 * deg", "udp.values2 * deg has 3 values; "
+        ("lwr.joint_angles", "udp.values2 * deg", "udp.values2 * deg has 3 values, but "
          "lwr.joint_angles takes 2, one per joint"),
         ("lwr.joint_angles", "udp.values0 * deg", ""),
-        ("lwr.joint_angles", "udp.values0 * mm", "udp.values0 * mm is a length (m); "
+        ("lwr.joint_angles", "udp.values0 * mm", "udp.values0 * mm is a length (m), but "
          "lwr.joint_angles takes an angle (rad)"),
         ("crane.joint_angles", "udp.values0 * mm", ""),
-        ("crane.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad); "
+        ("crane.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad), but "
          "crane.joint_angles takes a length (m)"),
         ("mixed.joint_angles", "[udp.values0[0] * deg, udp.values0[1] * mm]", ""),
-        ("mixed.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad); "
+        ("mixed.joint_angles", "udp.values0 * deg", "udp.values0 * deg is an angle (rad), but "
          "mixed.joint_angles takes a length (m) at index 1"),
-        ("mixed.joint_angles", "lwr.joint_angles", "lwr.joint_angles is an angle (rad); "
+        ("mixed.joint_angles", "lwr.joint_angles", "lwr.joint_angles is an angle (rad), but "
          "mixed.joint_angles takes a length (m) at index 1"),
-        ("mixed.joint_angles", "1 * deg", "1 * deg is an angle (rad); "
+        ("mixed.joint_angles", "1 * deg", "1 * deg is an angle (rad), but "
          "mixed.joint_angles takes a length (m) at index 1"),
         ("mixed.torques", "[udp.values0[0] * mNm, udp.values0[1] * kN]", ""),
-        ("crane.torques", "udp.values0 * Nm", "udp.values0 * Nm is a torque (Nm); "
+        ("crane.torques", "udp.values0 * Nm", "udp.values0 * Nm is a torque (Nm), but "
          "crane.torques takes a force (N)"),
         ("lwr.joint_accelerations", "udp.values0 * deg / s / s", ""),
         ("lwr.joint_accelerations", "udp.values0 * deg / s", "udp.values0 * deg / s is an angular "
-         "velocity (rad/s); lwr.joint_accelerations takes an angular acceleration (rad/s2)"),
-        ("lwr.torques", "leader.joint_angles", "leader.joint_angles is an angle (rad); "
+         "velocity (rad/s), but lwr.joint_accelerations takes an angular acceleration (rad/s2)"),
+        ("lwr.torques", "leader.joint_angles", "leader.joint_angles is an angle (rad), but "
          "lwr.torques takes a torque (Nm)"),
         ("lwr.torques", "leader.joint_angles * (20 * Nm / rad)", ""),
         ("lwr.billboard_values", "leader.joint_angles", ""),
         ("lwr.show_arrows", "udp.values0[1] * mm", ""),
         ("push.vector", "other.vectors0[0] * kN", ""),
-        ("push.vector", "udp.values2 * mm / s", "udp.values2 * mm / s is a velocity (m/s); "
+        ("push.vector", "udp.values2 * mm / s", "udp.values2 * mm / s is a velocity (m/s), but "
          "push.vector takes a force (N)"),
         ("lwr.base_frame", "udp.matrices0[1]", ""),
-        ("lwr.base_frame", "udp.matrices0", "udp.matrices0 is 2 x 4 x 4; "
+        ("lwr.base_frame", "udp.matrices0", "udp.matrices0 is 2 x 4 x 4, but "
          "lwr.base_frame takes a 4 x 4 frame, 1M in the structure, or 7 numbers "
          "x, y, z, qw, qx, qy, qz"),
-        ("lwr.torques", "udp.values0[0]", "udp.values0[0] has 1 value; "
+        ("lwr.torques", "udp.values0[0]", "udp.values0[0] has 1 value, but "
          "lwr.torques takes 2, one per joint"),
         ("lwr.torques", 0.5, ""),
         ("lwr.torques", [0.5, 1], ""),
         ("lwr.torques", np.array([0.5, 1.0]), ""),
-        ("lwr.torques", [0.5], "[0.5] has 1 value; lwr.torques takes 2, one per joint"),
+        ("lwr.torques", [0.5], "[0.5] has 1 value, but lwr.torques takes 2, one per joint"),
         ("lwr.show_arrows", "not udp.values0",
-         "udp.values0 has 2 values; lwr.show_arrows takes 1 number"),
-        ("lwr.torques", "not udp.values0", "'not' is only for toggles; "
+         "udp.values0 has 2 values, but lwr.show_arrows takes 1 number"),
+        ("lwr.torques", "not udp.values0", "'not' is only for toggles, but "
          "lwr.torques takes 2, one per joint"),
         ("lwr.torques", "udp.values0-udp.values1", "no event 'values0-udp.values1' of udp; "
          "write spaces around '-'"),

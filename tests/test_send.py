@@ -246,7 +246,7 @@ OTHER_UDP = {**UDP, "port": 4712}
         (
             {"udp": UDP},
             {"structure": "3F"},
-            "structure '3F': values0 has 3 values; arm.joint_angles takes 2, one per joint",
+            "structure '3F': values0 has 3 values, but arm.joint_angles takes 2, one per joint",
         ),
     ],
 )

@@ -125,7 +125,13 @@ def test_measuring_does_not_change_the_actual_values():
         ({"noise": -0.1}, Problem("noise", found=-0.1, expected="0 or more")),
         (
             {"noise": [[0.1]]},
-            Problem("noise", found=2, of="dimensions", expected="one number, or one per joint"),
+            Problem(
+                "noise",
+                "found an array with",
+                found=2,
+                of="dimensions",
+                expected="one number, or one per joint",
+            ),
         ),
         ({"delay": -1}, Problem("delay", found=-1, expected="greater than or equal to 0")),
         (

@@ -181,4 +181,4 @@ def test_invalid_stereo_options_are_rejected(capsys: pytest.CaptureFixture[str])
     assert "--eye-distance needs --stereo side-by-side or anaglyph" in capsys.readouterr().err
     with pytest.raises(SystemExit):
         main(["view", "lwr", "--web", "--stereo", "anaglyph"])
-    assert "--stereo needs a window; found a page" in capsys.readouterr().err
+    assert "--stereo needs a window instead of a page" in capsys.readouterr().err

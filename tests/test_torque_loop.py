@@ -421,7 +421,10 @@ def problems(*args: Any, **fields: Any) -> str:
 def test_loop_unstable_at_the_step_is_rejected_with_the_minimum_inertia() -> None:
     found = problems(SOFT, torque_control={"inertia_ratio": 0.02})
     key = "robots.lwr.torque_control.motor_inertias"
-    assert found.startswith(f"{key}: ") and "joint A2 unstable at 0.061; expected at lea" in found
+    assert (
+        found.startswith(f"{key}: ")
+        and "A2 unstable with a motor inertia of 0.061; expected at lea" in found
+    )
     assert "or a shorter run.physics_timestep" in found
     least = float(found.partition("at least ")[2].partition(",")[0])
     motors = robot_dynamics(SerialRobot.from_model("lwr")).motor_inertias

@@ -168,7 +168,7 @@ def shown_in(choice: Any) -> str:
 
 def test_arrows_show_torques_and_their_errors_by_turns(page: Any) -> None:
     page.evaluate("player.recording.seek(1.0); player.recording.hasPanel = true; player.draw()")
-    choice, legend = page.get_by_label("arrows show"), page.locator("#notes")
+    choice, legend = page.get_by_label("quantity of arrows"), page.locator("#notes")
     widths = "() => player.stage.arrows.joints.map((_, k) => player.stage.arrows.how.getY(k))"
     told, of_torque = legend.inner_text(), page.evaluate(widths)
     assert shown_in(choice) == "torque" and "round arrows: joint torque\n" in told
@@ -367,7 +367,7 @@ def test_marks_at_the_end_fit_a_phone_and_leave_the_slider_free(
 
 def test_phone_shows_the_arrow_quantity_and_can_change_it(phone: Any) -> None:
     phone.evaluate("player.recording.select(null); player.recording.seek(1.0); player.draw()")
-    choice, legend = phone.get_by_label("arrows show"), phone.locator("#notes")
+    choice, legend = phone.get_by_label("quantity of arrows"), phone.locator("#notes")
     assert "round arrows: joint torque\n" in legend.inner_text()
     for word in ("torque error", "torque"):
         phone.locator("#open").tap()

@@ -83,11 +83,11 @@ def test_simulation_that_cannot_keep_up_reports_its_speed(simulated: Mirror) -> 
     assert clock_text(clock)[0].endswith("x1")
     for _ in range(30):
         clock.advance(1.8)  # frames so long that time does not jump after them
-    assert clock.is_at_end or "(only 0.2" in clock_text(clock)[0]
+    assert clock.is_at_end or "(actual 0.2" in clock_text(clock)[0]
     clock.seek(0.0)
     for _ in range(6):
         clock.advance(1.8)
-    assert "(only 0." in clock_text(clock)[0]
+    assert "(actual 0." in clock_text(clock)[0]
 
 
 def test_simulation_can_use_as_much_time_as_drawing_of_slow_frames() -> None:

@@ -306,7 +306,7 @@ def replay_instead(
         if scene.sources:
             own = ", ".join(scene.sources)
             reason = f"scene '{scene.name}' has its own sources ({own}), which are replayed by name"
-            raise UsageError(f"--source {source}: {reason}. Leave out --source.")
+            raise UsageError(f"--source {source}: {reason}. Remove --source.")
         look_into(file).choose_source(source)
     moved = look_into(file).move_robot(scene, source)
     scene.robots, scene.sources, scene.routes = moved.robots, moved.sources, moved.routes

@@ -219,7 +219,9 @@ class Explanation:
     def short(self) -> str:
         """The kind and size of the fault, as text for figures."""
         of_second = " in B" if self.is_second else ""
-        if self.kind in ("sign", "stuck", "swap", "order", "unexplained"):
+        if self.kind == "unexplained":
+            return f"unexplained ({self.part} side){of_second}"
+        if self.kind in ("sign", "stuck", "swap", "order"):
             return f"{self.kind} ({self.part}){of_second}"
         factor, unit = (1e3, "ms") if self.kind == "delay" else (1.0, self.unit)
         is_signed = self.kind in _SIGNED or self.is_difference

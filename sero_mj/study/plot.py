@@ -299,7 +299,7 @@ def _marker(kind: str) -> dict[str, Any]:
     return {
         "marker": _MARKERS.get(kind, "o"), "markersize": 4.6, "markeredgewidth": 0.5,
         "markeredgecolor": "white", "color": FAULT, "linestyle": "none",
-        "label": f"{kind.replace('_', ' ')} found",
+        "label": f"{kind.replace('_', ' ')} detected",
     }  # fmt: skip
 
 

@@ -112,7 +112,7 @@ def joint_parts(
         many = "1 value" if count == 1 else f"{count} values"
         fewer = f", or {len(free)} without the coupled ones" if len(free) < len(places) else ""
         takes = f"{len(places)}{fewer}: {', '.join(listed)}"
-        raise Problem("", f"{text} has {many}; {target} takes {takes}").error()
+        raise Problem("", f"{text} has {many}, but {target} takes {takes}").error()
     parts = []
     for item in dict.fromkeys(place.to for place in places):
         mine = [k for k, place in enumerate(places) if place.to is item]

@@ -89,7 +89,7 @@ class RouteChecker:
         scene, target = self._scene, f"{name}.{key}"
         inputs = self._inputs_of(name, key)
         if inputs[0].kind not in ("angles", "values"):
-            message = f"joint names are only for inputs with a value per joint; {target} takes"
+            message = f"joint names are only for inputs with a value per joint, but {target} takes"
             raise Problem("", f"{message} {inputs[0].meaning}").error()
         problems: list[Problem] = []
         places = places_by_name(scene, inputs, in_group=scene.members(name) is not None)
@@ -114,7 +114,7 @@ class RouteChecker:
         expression = _parsed(origin)
         problems: list[Problem] = []
         if inputs and expression.negated and inputs[0].kind != "toggle":
-            message = f"'{NOT}' is only for toggles; {target} takes {inputs[0].meaning}"
+            message = f"'{NOT}' is only for toggles, but {target} takes {inputs[0].meaning}"
             problems.append(Problem("", message))
         routes: Sequence[AnyRoute] = []
         with collect(problems, ""):
@@ -162,7 +162,7 @@ class RouteChecker:
     def _toggles(self, inputs: Sequence[Input], expression: Expression, target: str) -> list[Route]:
         problems: list[Problem] = []
         if inputs and inputs[0].kind != "toggle":
-            message = f"comparisons are only for toggles; {target} takes {inputs[0].meaning}"
+            message = f"comparisons are only for toggles, but {target} takes {inputs[0].meaning}"
             problems.append(Problem("", message))
         with collect(problems, ""):
             names = self._known(expression)
@@ -187,7 +187,7 @@ class RouteChecker:
             fix = f"set relative_to of {received.name} to 'world'"
             problems.append(Problem("", f"{origin} is a pose in the world; {fix}"))
         if item.shape != (4, 4):
-            message = f"{origin} is a 4 x 4 frame; {item.target} takes {item.meaning}"
+            message = f"{origin} is a 4 x 4 frame, but {item.target} takes {item.meaning}"
             problems.append(Problem("", message))
         if problems:
             raise DeclarationError(problems)
@@ -361,7 +361,7 @@ def _shares(value: Value, items: Sequence[Input], text: str, target: str) -> lis
         many = "1 value" if found == 1 else f"{found} values"
         each = ", ".join(f"{item.name} {item.count}" for item in items)
         fewer = f", or {sum(free)} without the coupled joints" if free != full else ""
-        message = f"{text} has {many}; {target} takes {sum(full)}: {each}{fewer}"
+        message = f"{text} has {many}, but {target} takes {sum(full)}: {each}{fewer}"
         raise Problem("", message).error()
     return value.split(counts)
 
@@ -380,12 +380,12 @@ def _wrong_shape(value: Value, item: Input) -> str:
         found = f"has {many}" if len(shape) < 2 else f"is {' x '.join(map(str, shape))}"
         numbers = f"{len(POSE_NUMBERS)} numbers {', '.join(POSE_NUMBERS)}"
         takes = f"{item.meaning}, 1M in the structure, or {numbers}"
-        return f"{found}; {item.target} takes {takes}"
+        return f"{found}, but {item.target} takes {takes}"
     if value.is_constant and not shape:
         return ""  # the number is repeated
     if count != item.count:
-        return f"has {many}; {item.target} takes {item.meaning}"
-    return f"is a 4 x 4 frame; {item.target} takes {item.meaning}" if value.is_frames else ""
+        return f"has {many}, but {item.target} takes {item.meaning}"
+    return f"is a 4 x 4 frame, but {item.target} takes {item.meaning}" if value.is_frames else ""
 
 
 def _missing_spaces(name: str, known: Iterable[str]) -> str:

@@ -110,7 +110,7 @@ def wrong_unit(units: Sequence[Dimension], taken: Sequence[Dimension], target: s
         if any(have) and any(want) and have != want:
             differ = len({*units}) > 1 or len({*taken}) > 1
             where = f" at index {i}" if differ else ""
-            return f"is {describe(have)}; {target} takes {describe(want)}{where}"
+            return f"is {describe(have)}, but {target} takes {describe(want)}{where}"
     return ""
 
 

@@ -121,8 +121,8 @@ class MotionPackets:
             if missing or (route.value.whole is not None and found != route.to.count):
                 wanted = f"takes {route.to.meaning}" if route.value.whole else f"is {route.text}"
                 raise UsageError(
-                    f"structure '{self.structure.text}': {term.origin.key} has {found} values; "
-                    f"{route.to.target} {wanted}"
+                    f"structure '{self.structure.text}': {term.origin.key} has {found} values, "
+                    f"but {route.to.target} {wanted}"
                 )
 
     def _needed_inputs(self, routes: Sequence[Route]) -> list[Input]:

@@ -22,8 +22,8 @@ def send(options: SendOptions, scene: Scene, source: FriReceiver) -> int:
     if not isinstance(layout, FriLayout):
         reason = f"is {source.about}; expected FRI 1.0 of an LWR. Use --play to send a recording"
         raise UsageError(f"source '{source.name}' {reason}")
-    options.refuse(("shm",), ": FRI is a protocol over UDP; leave it out")
-    options.refuse(("structure",), ": FRI determines it; leave it out")
+    options.refuse(("shm",), ": FRI is a protocol over UDP; remove it")
+    options.refuse(("structure",), ": FRI determines it; remove it")
     if options.cycle is not None and options.rate is not None:
         raise UsageError("--cycle and --rate both set the cycle; use one of them")
     cycle = _CYCLE if options.rate is None else 1.0 / options.rate

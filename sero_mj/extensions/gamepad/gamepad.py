@@ -35,8 +35,10 @@ PAD_KEYS: dict[str, tuple[str, str]] = {
     "down": ("w", "previous mark or fault"),
     "Back": ("h", "help"),
     "Start": ("0", "initial view"),
-    "right stick": ("ctrl+z", "press: undo"),
+    "right stick": ("ctrl+z", "undo"),
 }
+_IN_HELP = {"right stick": "right stick pressed",
+            **{name: f"D-pad {name}" for name in ("up", "right", "down", "left")}}  # fmt: skip
 PAD_STICKS: dict[str, str] = {
     "left stick": "rotate the view, or move the target in the image plane",
     "right stick": "pan the view, or move the target in depth and rotate it about z",
@@ -113,7 +115,7 @@ class Gamepad(Tool):
     def help_rows(self) -> Sequence[Row]:
         if not self.shown.is_window:
             return []
-        buttons = [(name, words) for name, (_, words) in PAD_KEYS.items()]
+        buttons = [(_IN_HELP.get(name, name), words) for name, (_, words) in PAD_KEYS.items()]
         return [("Gamepad", ""), *PAD_STICKS.items(), *buttons]
 
     def advance(self, passed: float) -> None:

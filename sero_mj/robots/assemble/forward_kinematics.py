@@ -49,7 +49,7 @@ class ForwardKinematics:
         if self._coupled is not None and q.shape[-1:] == (self._coupled.k,):
             q = self._coupled.full("joint_angles", q)
         if q.shape[-1:] != (self.n,):
-            expected = f"a last axis of {self.n}"
+            expected = f"a last axis of length {self.n}"
             raise Problem("joint_angles", f"found shape {q.shape}", expected=expected).error()
         if q.ndim > 1:
             return self._of_many(q)

@@ -78,19 +78,22 @@ class SmartArrow(Declaration):
 
     @property
     def metres_per_unit(self) -> float:
-        """Arrow length or width per unit of the vector, in m: `scale`, or the kind's default."""
+        """Arrow length or width per unit of the vector, in m, by default that of the kind."""
         return _SCALES[self.kind] if self.scale is None else self.scale
 
     @property
     def limit(self) -> float:
-        """Maximum arrow length or width in m: `longest`, or else 0.5 m or the round radius."""
+        """Maximum arrow length or width in m, from `longest`.
+
+        The default is 0.5 m for straight arrows, and the radius for round arrows.
+        """
         if self.longest is not None:
             return self.longest
         return self.radius if self.is_round else 0.5
 
     @property
     def unit_text(self) -> str:
-        """Displayed unit: `unit`, or the SI unit of the kind."""
+        """Displayed unit, by default the SI unit of the kind."""
         return UNITS[self.kind] if self.unit is None else self.unit
 
     @property

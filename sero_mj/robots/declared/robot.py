@@ -246,9 +246,10 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def arrow_radii(self) -> Array:
-        """Arrow radii of the joints, shape (n,), m: declared, or clear of the generated shapes.
+        """Arrow radii of the joints, shape (n,), m.
 
-        If `fit_arrows` is true, the compiled scene uses radii that fit the geometry instead.
+        By default, the arrows are clear of the generated shapes. If `fit_arrows` is
+        true, the compiled scene uses radii that fit the geometry instead.
         """
         if self.has_geometry or "arrow_radius" in self.model_fields_set:
             return np.full(self.n, self.arrow_radius)
@@ -261,7 +262,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def axes_length(self) -> float:
-        """Length of the coordinate axes in m: declared, or in proportion to the robot."""
+        """Length of the coordinate axes in m, by default in proportion to the robot."""
         if self.fit_arrows and "axes_size" not in self.model_fields_set:
             return _AXES_OF_REACH * self.reach
         if self.has_geometry or "axes_size" in self.model_fields_set:
@@ -322,7 +323,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def home(self) -> Array:
-        """Initial joint values, shape (n,), rad or m (default: zero for independent joints)."""
+        """Initial joint values, shape (n,), rad or m, by default zero for independent joints."""
         if self.joint_angles is not None:
             return self.joint_angles
         if not self.couplings:

@@ -496,7 +496,7 @@ class Scene:
 
     @property
     def argument(self) -> str:
-        """Argument with which commands open the scene: the name of an included scene, or a file."""
+        """Name of an included scene, or file, with which commands open the scene."""
         file = self.file
         if file is None:
             files = [robot._model for robot in self.robots.values()]

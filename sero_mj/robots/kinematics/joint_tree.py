@@ -102,7 +102,9 @@ class JointTree(ABC):
         q = np.asarray(joint_angles, dtype=np.float64)
         if q.shape[-1:] != (len(self),):
             raise Problem(
-                "joint_angles", f"found shape {q.shape}", expected=f"a last axis of {len(self)}"
+                "joint_angles",
+                f"found shape {q.shape}",
+                expected=f"a last axis of length {len(self)}",
             ).error()
         T = self.transforms(q if self.sign is None else q * self.sign)
         if self.root is not None:

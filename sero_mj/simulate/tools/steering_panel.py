@@ -76,13 +76,13 @@ class SteeringPanel:
             steering.has_handles, steering.selected = is_on, name
         ui.tip("drag arrows, rings or cube to move the target's flange; Ctrl+drag moves a link")
         ui.same_line()
-        if ui.button("target to robot"):
+        if ui.button("move target to robot"):
             goal.follow(steering.robots[name].measured)
         ui.tip("set the target to the current pose of the robot")
-        if ui.tree("target's joints"):
+        if ui.tree("joints of the target"):
             self._sliders.build(ui, goal)
             ui.end_tree()
-        build_flange(ui, "target's flange", goal, steering.base(name))
+        build_flange(ui, "flange of the target", goal, steering.base(name))
 
     def _sliders_of(self, ui: Widgets, name: str, robot: LiveRobot) -> None:
         found = robot.controller.sliders(robot.robot, robot.first[robot.control])

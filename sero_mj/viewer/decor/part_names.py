@@ -56,7 +56,7 @@ def named_parts(world: WorldView, data: Any, chosen: int) -> tuple[list[str], Ar
         chosen: kind of the parts, as an index of `PART_NAMES`.
     """
     model, what = world.model, PART_NAMES[chosen]
-    if what == "nothing":
+    if what == "none":
         return [], np.zeros((0, 3))
     ids, bodies, at = _parts(model, what)
     shown = _is_part(world)[bodies] & (data.xpos[bodies][:, 2] > OUT_OF_SIGHT[2] / 2)

@@ -16,7 +16,7 @@ from ...robots.declared.inputs import SCENE, Input
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
 
 # Parts of the model whose names can be shown; `Toggles.part_names` is an index of this tuple.
-PART_NAMES = ("nothing", "bodies", "joints", "geoms")
+PART_NAMES = ("none", "bodies", "joints", "geoms")
 
 
 @dataclass(frozen=True, eq=False)

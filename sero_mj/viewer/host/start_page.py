@@ -32,13 +32,13 @@ log = logging.getLogger(__name__)
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
-TAGLINE = "shows what a torque-controlled robot feels"
+TAGLINE = "displays the joint torques of a robot, live or simulated"
 DROP_HINT = (
     "Drop a file here: a robot (URDF, MJCF, robot.toml), a scene or scenario (TOML, X3D), "
     "or a recording (MCAP)"
 )
 SEARCH_HINT = "search scenes and robots"
-MORE_HINT = "`sero-mj list` lists all scenes and robots, `sero-mj --help` all commands."
+MORE_HINT = "All scenes and robots: sero-mj list. All commands: sero-mj --help."
 # These robots are parts of other robots, so they are listed last.
 _PARTS = ("biped_leg", "dlr_hand2_finger", "hit_finger", "justin_head", "justin_torso",
           "justin_wheel", "space_justin_torso", "ups_leg")  # fmt: skip

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import takewhile
 
 from ...base.errors import printable
 from ...base.paths import without_temporary
@@ -12,15 +13,23 @@ from ..session.widgets import Widgets
 
 HELP_TITLE = "Mouse and keys"
 REQUEST_TITLE = "This file requests to run programs"
-# Widths of the dialogs in text heights. A narrower help has one column below the other.
-HELP_WIDTH, REQUEST_WIDTH = 56.0, 34.0
-_INPUT = 9.6  # width of the column of keys, in text heights
+# Widths in text heights. If the columns of the help would be narrower than `_MIN_COLUMN`, they are
+# one below the other.
+REQUEST_WIDTH = 34.0
+_HELP_COLUMN, _MIN_COLUMN = 28.0, 22.0
+_MIN_INPUT, _MAX_INPUT = 4.0, 12.0  # widths of the column of keys
+_INPUT_GAP = 0.8  # gap beside the longest key
 _MAX_SHOWN = 2000  # maximum length of the text of an action, characters
+
+
+def help_width(columns: Sequence[Sequence[Row]]) -> float:
+    """Returns the width of the help dialog, in text heights."""
+    return _HELP_COLUMN * len(columns)
 
 
 def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
     """Builds the help dialog from columns of `session.keys.help_columns`."""
-    is_wide = ui.room()[0] >= 0.9 * HELP_WIDTH
+    is_wide = ui.room()[0] >= _MIN_COLUMN * len(columns)
     if not ui.table("##help", (0.0,) * (len(columns) if is_wide else 1)):
         return
     ui.row()
@@ -35,9 +44,9 @@ def build_help(ui: Widgets, columns: Sequence[Sequence[Row]]) -> None:
 
 def _sections(ui: Widgets, rows: Sequence[Row]) -> None:
     is_in_table = False
-    for how, words in rows:
+    for index, (how, words) in enumerate(rows):
         if words and not is_in_table:
-            is_in_table = ui.table(f"##{how}", (_INPUT, 0.0))
+            is_in_table = ui.table(f"##{how}", (_input_width(ui, rows[index:]), 0.0))
         elif not words and is_in_table:
             ui.end_table()
             is_in_table = False
@@ -51,6 +60,13 @@ def _sections(ui: Widgets, rows: Sequence[Row]) -> None:
             ui.text(words)
     if is_in_table:
         ui.end_table()
+
+
+def _input_width(ui: Widgets, rows: Sequence[Row]) -> float:
+    """Returns the width of the column of keys for the rows up to the next heading."""
+    section = takewhile(lambda row: row[1], rows)
+    longest = max(ui.wide(how) for how, _ in section)
+    return min(max(longest + _INPUT_GAP, _MIN_INPUT), _MAX_INPUT)
 
 
 def _shortened(text: str) -> str:

@@ -144,7 +144,7 @@ class RobotPanel:
         names = [QUANTITY_NAMES[quantity] for quantity in ARROW_QUANTITIES]
         now = shown.pop() if len(shown) == 1 else -1
         ui.width(_SLIDER)
-        changed, chosen = ui.choose("arrows show", now, names)
+        changed, chosen = ui.choose("quantity of arrows", now, names)
         if changed:
             toggles.arrow_quantity[joints] = chosen
         self._check(ui, "arrows", toggles.arrows, joints)

@@ -33,9 +33,9 @@ VIEWER_KEYS: dict[str, Key] = {
     "left": Key("back", "1 s back", repeats=True),
     "right": Key("on", "1 s forward", repeats=True),
     "end": Key("end", "go to the end, or to live data"),
-    "0": Key("camera_0", "0 initial view, 1 to 9 cameras"),
+    "0": Key("camera_0", "initial view (0) or a camera (1 to 9)"),
     "f": Key("follow", "follow the item under the pointer"),
-    "]": Key("next_joint", "select the next joint, [ the previous", repeats=True),
+    "]": Key("next_joint", "select the previous or next joint", repeats=True),
     "t": Key("status_line", "status line on or off"),
     "tab": Key("panel", "panel on or off"),
     "f11": Key("full_screen", "full screen"),
@@ -75,7 +75,7 @@ _KEY_NAMES = {
     "right": "right arrow",
     **{f"f{number}": f"F{number}" for number in range(1, 13)},
 }
-_IN_HELP: tuple[Gesture, ...] = ("click", "double")
+_GESTURES: dict[Gesture, str] = {"click": "click", "double": "double click"}  # in the help
 _KINDS = {
     "link": "link",
     "arrow": "round arrow",
@@ -103,11 +103,11 @@ def help_columns(of_tools: Mapping[str, Key], *, on_page: bool = False) -> list[
     shown += [(key, words) for key, (words, _) in KEYS.items()]
     shown += [("", ""), ("Clicks", "")]
     for kind, name in _KINDS.items():
-        for gesture in _IN_HELP:
+        for gesture, how in _GESTURES.items():
             if (gesture, kind) in CLICKS:
-                shown.append((f"{gesture} {name}", CLICKS[gesture, kind][0]))
+                shown.append((f"{how} {name}", CLICKS[gesture, kind][0]))
     shown += [
-        ("double click background", "reset to the scene"),
-        ("Shift+click", "same effect for the whole robot, or all smart arrows"),
+        ("double click background", "reset to the declared values"),
+        ("Shift+click", "same effect for the whole robot, or for all smart arrows"),
     ]
     return [view, shown]

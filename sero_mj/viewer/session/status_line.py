@@ -81,7 +81,7 @@ def clock_text(clock: Clock) -> Piece:
     end = f" / {time_text(clock.end)}" if clock.end is not None else ""
     text = f"{time_text(clock.time)}{end}  x{clock.speed:g}"
     if clock.real_speed < _SLOW * clock.speed:
-        text += f" (only {clock.real_speed:.2g})"
+        text += f" (actual {clock.real_speed:.2g})"
     if clock.is_at_end:
         return f"{text}  end", "quiet"
     return (f"{text}  PAUSED", "bad") if clock.is_paused else (text, "plain")

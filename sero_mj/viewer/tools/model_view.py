@@ -49,6 +49,6 @@ class ModelView(Tool):
                 if changed:
                     setattr(toggles, name, is_on)
         ui.width(_WIDTH)
-        changed, chosen = ui.choose("names", toggles.part_names, PART_NAMES)
+        changed, chosen = ui.choose("displayed names", toggles.part_names, PART_NAMES)
         if changed:
             toggles.part_names = chosen

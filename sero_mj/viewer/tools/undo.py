@@ -76,7 +76,7 @@ class UndoTool(Tool):
 
     order: ClassVar[int] = 80
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
-        "ctrl+z": ("undo", "undo switches, camera and selection; Ctrl+Y redo"),
+        "ctrl+z": ("undo", "undo switches, camera and selection (Ctrl+Y: redo)"),
         "ctrl+y": ("redo", ""),
     }
 

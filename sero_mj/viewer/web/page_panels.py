@@ -33,6 +33,7 @@ class PagePanels:
         self._built = float("-inf")
         self._has_input = False
         self._is_narrow, self._width = False, 1280
+        self._help_columns = help_columns(tool_keys(), on_page=True)
 
     def act(self, tree: str, id_: str, value: Any) -> None:
         if tree in self._trees:
@@ -76,7 +77,7 @@ class PagePanels:
         self._put_tree("panel", self._host.shows_panel, self._panel, (_PANEL_WIDTH, _TALL))
         wide = self._width / _EM
         self._put_tree("timeLine", host.has_timeline, self._time_line, (wide, 2.0))
-        room = min(dialogs.HELP_WIDTH, wide - 2), _TALL
+        room = min(dialogs.help_width(self._help_columns), wide - 2), _TALL
         self._put_tree("help", host.shows_help, self._help, room)
         room = min(dialogs.REQUEST_WIDTH, wide - 2), _TALL
         is_asked = host.others.asks and is_local is not None
@@ -126,4 +127,4 @@ class PagePanels:
         build_timeline(ui, self._host.clock, self._host.tools.ticks)
 
     def _help(self, ui: DomWidgets) -> None:
-        dialogs.build_help(ui, help_columns(tool_keys(), on_page=True))
+        dialogs.build_help(ui, self._help_columns)

@@ -154,7 +154,9 @@ class Chrome(ImguiLayer):
 
     def _help(self) -> None:
         host = self._host
-        shown, is_open = self._dialog(f"{dialogs.HELP_TITLE}###help", dialogs.HELP_WIDTH)
+        shown, is_open = self._dialog(
+            f"{dialogs.HELP_TITLE}###help", dialogs.help_width(self._columns)
+        )
         if shown:
             dialogs.build_help(self.widgets, self._columns)
         is_pressed = imgui.is_window_hovered() and imgui.is_mouse_clicked(0)

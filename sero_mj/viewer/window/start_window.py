@@ -203,7 +203,7 @@ class StartWindow:
             if ui.button(f"show {Path(view.scene).name}"):
                 self.page.choose(view)
         if expected.command:
-            ui.text(f"try {expected.command}", "dim")
+            ui.text(f"test with: {expected.command}", "dim")
             ui.same_line()
             if imgui.small_button("copy"):
                 ui.copy(expected.command)

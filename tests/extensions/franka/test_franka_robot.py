@@ -147,7 +147,7 @@ def test_violations_end_the_motion_by_a_reflex_until_the_client_recovers(
     assert [text.split(", ")[1].split(":")[0] for text in told] == list(errors.values())
     assert told[0].endswith("fr3_joint1: commanded torque changes by 2000 Nm/s; "
                             "expected up to 1000")  # fmt: skip
-    assert told[2].endswith("a commanded torque is not finite, or huge")
+    assert told[2].endswith("the commanded torque is not finite or too large")
 
 
 def test_stalled_client_has_an_error_and_may_continue(

@@ -289,7 +289,7 @@ def test_scene_shows_the_values_of_the_controller(lwr: SerialRobot) -> None:
         (["lwr_fri", "--quality", "god"], "no quality 'god'; available: bad, invalid, ok, per"),
         (["lwr_fri", "--loss", "1.5"], "--loss: found '1.5'; expected a share from 0 to 1"),
         (["lwr_fri", "--seed", "-1"], "--seed: found '-1'; expected a whole number of 0"),
-        (["lwr_fri", "--structure", "7F"], "--structure: FRI determines it; leave it out"),
+        (["lwr_fri", "--structure", "7F"], "--structure: FRI determines it; remove it"),
         (["lwr_udp", "--loss", "0.1"], '--loss needs a source of kind = "fri"'),
     ],
 )
@@ -302,7 +302,7 @@ def test_send_rejects_arguments(capsys: Any, arguments: list[str], message: str)
 
 def test_fri_requires_seven_joints() -> None:
     two = SerialRobot(name="two", dh_convention="craig", dh_params=[[0.1, 0, 0, 0.2]] * 2)
-    with raises_with(UsageError, reason="FRI requires 7 joints; 'two' has 2"):
+    with raises_with(UsageError, reason="FRI requires 7 joints, but 'two' has 2"):
         FriController(two)
     with pytest.raises(SourceError, match=r"^source 'no\.such\.host\.invalid:1': not an address"):
         UdpSink("no.such.host.invalid", 1)

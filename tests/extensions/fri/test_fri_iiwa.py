@@ -240,7 +240,7 @@ def test_omitted_fields_default_to_those_of_fri() -> None:
     assert make_source("arm", {"kind": "fri", "version": "iiwa-1", "port": 5}).place[1] == 5
     with raises_with(key="version", found="3", expected="'1', 'iiwa-1' or 'iiwa-2'"):
         make_source("arm", {"kind": "fri", "version": "3"})
-    with raises_with(key="structure", reason="found '7F'; FRI determines this field. Leave it out"):
+    with raises_with(key="structure", reason="found '7F'; FRI determines this field. Remove it"):
         make_source("arm", {"kind": "fri", "version": "iiwa-1", "structure": "7F"})
     source.version = "iiwa-1"
     assert source.structure == STRUCTURES["iiwa-1"]

@@ -244,5 +244,5 @@ def test_wrong_declarations_name_their_key(
 
 def test_robot_with_six_joints_is_rejected() -> None:
     model = RobotModel.of(SerialRobot.from_model("ur5e"))
-    with pytest.raises(DeclarationError, match=r"FRI requires 7 joints; ur5e has 6$"):
+    with pytest.raises(DeclarationError, match=r"FRI requires 7 joints, but ur5e has 6$"):
         FriClient().make(model, 1e-3)

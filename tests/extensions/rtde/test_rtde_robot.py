@@ -493,7 +493,7 @@ def test_wrong_declarations_name_their_key(
 
 def test_robot_with_seven_joints_is_rejected() -> None:
     model = RobotModel.of(SerialRobot.from_model("lwr"))
-    with pytest.raises(DeclarationError, match=r"RTDE requires 6 joints; lwr has 7$"):
+    with pytest.raises(DeclarationError, match=r"RTDE requires 6 joints, but lwr has 7$"):
         RtdeClient().make(model, 1e-3)
 
 

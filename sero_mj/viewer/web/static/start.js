@@ -79,7 +79,7 @@ function showData(awaited) {
         () => act({ t: "shown", scene });
     }
     if (command === "") continue;
-    const tried = add(entry, "div", `try ${command} `, "dim");
+    const tried = add(entry, "div", `test with: ${command} `, "dim");
     add(tried, "button", "copy", "small").onclick = () =>
       navigator.clipboard?.writeText(command).catch(() => prompt("Ctrl+C copies", command));
   }

@@ -12,21 +12,21 @@ import { torquePlot } from "./torque_plot.js";
 /** @typedef {{joint?: number, body?: string, kind?: number, item?: number}} Picked */
 
 const KEYS = [
-  ["drag", "rotate the view; with the right button, pan"],
+  ["drag", "rotate the view, pan with the right button"],
   ["wheel", "zoom"],
   ["click", "show name and values of an arrow, link or billboard"],
   ["space", "play or pause"],
   [". ,", "one frame forward, back"],
   ["→ ←", "1 s forward, back"],
   ["+ −", "faster, slower"],
-  ["backspace, end", "to the start, to the end"],
+  ["backspace, end", "go to the start, go to the end"],
   ["e w", "next, previous mark"],
   ["] [", "next, previous joint"],
   ["a b d l", "arrows, billboards, doubles, legend on or off"],
-  ["q", "arrows show torque or torque error"],
+  ["q", "next quantity of arrows"],
   ["p", "plot on or off"],
   ["t", "panel on or off"],
-  ["0 … 9", "initial view, cameras"],
+  ["0 … 9", "initial view (0), cameras (1 to 9)"],
   ["h", "this help"],
 ];
 /** @type {Record<string, string>} */
@@ -291,8 +291,8 @@ export class Recording {
     const nodes = Object.entries(NAMES).filter(([key]) => this.#has(key)).map(([id, s]) =>
       ({ k: "check", id, s, on: id === "shadows" ? stage?.hasShadows : switches[id] }));
     const names = quantities.map((/** @type {{name: string}} */ { name }) => name);
-    const shown = [{ k: "choose", id: "quantity", s: "", aria: "arrows show", index: this.quantity, names, width: 9 },
-      { k: "label", s: "arrows show", same: true }];
+    const shown = [{ k: "choose", id: "quantity", s: "", aria: "quantity of arrows", index: this.quantity, names, width: 9 },
+      { k: "label", s: "quantity of arrows", same: true }];
     return [{ k: "header", id: "Shown", s: "Display", open, nodes: quantities.length ? [...shown, ...nodes] : nodes }];
   }
 
