@@ -44,7 +44,7 @@ class Timeline:
 
     @property
     def end(self) -> float | None:
-        """Time of the last packet in seconds; None for live sources and endless simulations."""
+        """Time of the last packet in seconds; None for live sources and runs without an end."""
         return None
 
     @property
@@ -54,7 +54,7 @@ class Timeline:
 
     @property
     def newest(self) -> float | None:
-        """Time in seconds up to which an endless simulation has run; None for other sources."""
+        """Time in seconds that a simulation without an end has reached; None for other sources."""
         return None
 
     @property
