@@ -44,7 +44,7 @@ class Action(ABC):
 
     @abstractmethod
     def take(self, action: Array) -> None:
-        """Begins a control step with an action within the bounds, shape (n,) or (m, n)."""
+        """Begins a control step with an action, shape (n,) or (m, n), already within the bounds."""
 
     def advance(self) -> None:  # noqa: B027 - optional
         """Begins a step of the simulation."""

@@ -135,7 +135,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         episode: number of the current episode, from 0; -1 before the first episode. Set it to k - 1
             to continue with episode k.
         error: error that ended the last episode, or None.
-        columns: columns of the log by name of the observation.
+        columns: columns of the log that contain each observation, by name.
         bounds: lower and upper bounds of observed angles by name, shape (n,) each.
 
     Raises:

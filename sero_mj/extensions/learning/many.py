@@ -38,7 +38,7 @@ class ManyEnvironments:
         threads: number of threads.
 
     Attributes:
-        lanes: robots of each thread.
+        lanes: groups of robots, one per thread.
         seeds: random seeds, shape (m,); by default, the seed of `environment` and the seeds that
             follow.
         episodes: numbers of the current episodes, from 0, shape (m,); -1 before the first episode.

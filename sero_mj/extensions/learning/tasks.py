@@ -151,7 +151,7 @@ class ManyEpisodes(ABC):
 
 
 class Episode:
-    """A task of one robot, in successive episodes. The base class has no reward."""
+    """A task of one robot, in successive episodes. In the base class, the reward is 0."""
 
     def make_many(self, m: int) -> ManyEpisodes | None:
         """Returns the task for m robots, or None if robots can only be simulated one by one."""
@@ -191,7 +191,7 @@ class Task(Declaration, ABC):
 
     @abstractmethod
     def make(self, robot: AgentRobot) -> Episode:
-        """Returns the task for a robot."""
+        """Returns an object that runs episodes of this task with a robot."""
 
     def arrows(self, robot: str) -> list[SmartArrow]:
         """Returns the arrows that display the task."""

@@ -102,8 +102,8 @@ class Object(Declaration):
             a `mujoco.MjSpec`, a PyMJCF `mjcf.RootElement`, or a dm_control composer entity.
         urdf: URDF file without joints relative to `directory`, for example of a table or a tool.
         frame: pose of the object in the world, or in the frame to which a child is fixed.
-        reaches: frame at the end of a limb (`left/flange`). The joint of the limb is on the side of
-            the x axis of `frame`. If the end is out of reach, the limb points towards it.
+        reaches: frame at the end of a limb (`left/flange`). The elbow or knee bends in the
+            direction of the x axis of `frame`. If the end is out of reach, the limb points to it.
         end: position of the end of a limb in the frame `reaches`, m.
         on: frame of the robot to which a child is fixed, `base`, `link1`, ..., `flange`.
         rgba: color as red, green, blue and opacity, from 0 to 1. MJCF has its own colors.
