@@ -148,7 +148,7 @@ class Expect(Declaration):
             raise ValueError(f"`signed` requires one of the measures {known}; found {self.measure}")
         if self.signed and self.of == "rms":
             raise Problem(
-                "signed", "found of = 'rms', which has no sign", expected="of = 'mean'"
+                "signed", '`of` is "rms", which has no sign', expected='`of = "mean"`'
             ).error()
         if self.measure is None or self.signed:
             return
