@@ -307,7 +307,7 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 def _schedule(
     speeds: Array, rates: Array, time_law: TimeScaling, dwell: float
 ) -> tuple[Array, Array, Array | None]:
-    """Returns earliest starts, durations and, for trapezoids, blend times of lines, (m,) each, s.
+    """Returns the earliest start, duration and blend time (of a trapezoid) per line, (m,), s.
 
     Maximum speeds (1/s) and accelerations (1/s2) are infinite for lines of zero length.
     """
