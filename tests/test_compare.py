@@ -439,6 +439,9 @@ def test_joint_measured_as_commanded_has_no_explanation(tmp_path, capsys) -> Non
     scene.write_text(
         '[robots.crane]\ndh_convention = "craig"\ntorque_limits = [120, 120, 60]\n'
         "dh_params = [[0, 0, 0, 0.35], [1.5708, 0, 0, 0], [0, 0.4, 0, 0]]\n"
+        # Otherwise, friction in proportion to the velocity would explain the difference of J1.
+        "[robots.crane.dynamics]\nmotor_inertias = [0.1, 0.1, 0.1]\n"
+        "viscous_friction = [0, 0, 0]\ncoulomb_friction = [0, 0, 0]\n"
         '[sources.udp]\nkind = "udp"\nport = 32123\nstructure = "3F3F3F"\n[routes]\n'
         '"crane.joint_angles" = "udp.values0"\n"crane.torques" = "udp.values1"\n'
         '"crane.commanded_torques" = "udp.values2"\n'

@@ -31,7 +31,6 @@ ORDER = (
     "data.drive",
     "data.send",
     "simulate.control",
-    "simulate.external_control",
     "simulate.runs",
     "simulate.external_control",
     "simulate",

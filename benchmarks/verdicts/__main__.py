@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import logging
 import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
@@ -52,7 +53,13 @@ def main() -> int:
     tasks = [task for task in tasks if task not in done]
     # New processes now and then, because the product caches the tables that it has read.
     with (
-        ProcessPoolExecutor(options.jobs, get_context("spawn"), max_tasks_per_child=60) as pool,
+        ProcessPoolExecutor(
+            options.jobs,
+            get_context("spawn"),
+            logging.disable,
+            (logging.WARNING,),
+            max_tasks_per_child=60,
+        ) as pool,
         results.open("a", encoding="utf-8") as file,
     ):
         for count, row in enumerate(pool.map(measure, tasks), 1):

@@ -414,7 +414,10 @@ def brake_closed(p: Plant) -> Truth:
 def backlash(p: Plant) -> Truth:
     j = elbow(p)
     p.play = (j, 50.0 * p.robot.limits[j], np.deg2rad(p.rng.uniform(0.5, 1.2)))
-    return everywhere(p, (p.robot.joints[j], "backlash", "joint"))
+    name = p.robot.joints[j]
+    # The play has elastic ends. While the torque has one sign, it is like an encoder offset.
+    right = [("backlash", "joint"), ("elasticity", "joint"), ("encoder", "encoder")]
+    return everywhere(p, *((name, *each) for each in right))
 
 
 @named
@@ -632,7 +635,8 @@ def log_torques_late(p: Plant) -> Truth:
     delay = p.rng.uniform(0.03, 0.08)
     on_log(p, "torques", lambda t, x: late(t, x, delay))
     # In the log, each torque sensor is delayed.
-    return everywhere(p, *((name, "delay", SENSOR) for name in p.robot.joints))
+    right = [(name, "delay", SENSOR) for name in p.robot.joints]
+    return everywhere(p, ("all joints", "delay", "measured torques"), *right)
 
 
 @named

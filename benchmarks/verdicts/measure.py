@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 import time
 from functools import cache
 from pathlib import Path
@@ -27,7 +26,6 @@ def scene_of(robot: str) -> Any:
 
 def measure(task: Task) -> dict[str, Any]:
     """Simulates and analyzes one run, and returns its judged verdicts."""
-    logging.disable(logging.WARNING)
     robot, kind, seed = task
     plant, own = make_plant(kind, seed, load_robot(robot))
     truth = own if plant.robot.is_declared else own.of_undeclared(plant.robot.joints)

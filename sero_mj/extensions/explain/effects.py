@@ -23,7 +23,7 @@ from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 _GAIN, SHARE, _FACTOR = 1.0, 0.1, 1.3
 _DELAY_RANGE, _LEVEL_RANGE = (0.4, 2.0), (0.8, 1.25)
 _MAX_GAIN = 2.6  # maximum deviation from 1
-MIN_SIGN = 1.3  # minimum deviation from 1 of a gain that is reported as a wrong sign
+MIN_SIGN = 1.7  # minimum deviation from 1 of a gain that is reported as a wrong sign
 _TRIED_DELAYS = (0.003, 0.008, 0.02, 0.04, 0.07, 0.1)  # s, then refined
 # Tried torques at which a drive saturates, as shares of the largest command, then refined.
 _TRIED_LEVELS = np.geomspace(0.05, 0.95, 20)

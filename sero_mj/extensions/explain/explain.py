@@ -49,11 +49,13 @@ from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
 from ...study.align import Pair
 from ...study.explanation import (
+    ALL_JOINTS,
     MAX_CONFIDENCE,
     OF_ONE_RUN,
     PLACES,
     Explainer,
     Explanation,
+    Part,
 )
 from .explain_search import MIN_ROWS, Search
 from .log_faults import log_faults
@@ -65,6 +67,11 @@ _MIN_STUCK, _MIN_WRONG, _MIN_WRONG_FAST = 0.4, 0.2, 0.03  # s, minimum durations
 _ENDING, _FAST = 0.6, 0.004  # s, end of a run, and the width of its low-pass filter
 _ONSET_TOLERANCE = 0.1  # s, apparent lead of an onset due to the slower low-pass filter
 _MIN_ERROR = 0.05  # share of the torque limit; minimum error of a runaway drive
+_MOVING_QUANTILE = 0.95  # of the torques with which the drives overcame friction
+_FAST_CONFIDENCE = 0.85  # of a drive that runs away, because its data is short
+# Number of joints that are rarely faulty in the same way for different reasons, the highest
+# confidence of such faults, and the relative spread of equal delays.
+_MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
 _NOISE_RATIO = 2.0  # minimum increase of reported noise
 _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # shares of the torque limit
 
@@ -78,7 +85,8 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     faults, log = log_faults(log, robot, found)
     if faults:
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
-    return [*faults, *_explain_correct(log, robot, found)]
+    explained = _explain_correct(log, robot, found)
+    return [*faults, *_of_many_joints(explained, found.robot.names)]
 
 
 def _explain_correct(log: RunLog, robot: str, found: TorqueResiduals) -> list[Explanation]:
@@ -110,7 +118,8 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
     noise_at_end = _noise(ending, None)
     has = {each.joint for each in without}
     fast = [each for each in _wrong_drives(ending, _MIN_WRONG_FAST) if each.joint not in has]
-    fast = _unlike_fits(fast, ending, noise_at_end)
+    fast = [replace(each, confidence=_FAST_CONFIDENCE)
+            for each in _unlike_fits(fast, ending, noise_at_end)]  # fmt: skip
     without += _unlike_fits(fast, found, noise)
     explanations = Search(found, without, noise).explanations([*without, *noise])
     last = Search(ending, without, noise_at_end).explanations([])
@@ -199,6 +208,33 @@ def explain_runs(
     return [*faults, *of_b, *explain_pair(first, moved)]
 
 
+def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -> list[Explanation]:
+    # Equal delays of many joints are one delay of the log. Many joints with the same other fault
+    # probably have a common cause that is not known.
+    groups: dict[tuple[str, str], list[Explanation]] = {}
+    for each in explanations:
+        if each.joint in names and each.kind in ("gain", "bias", "delay", "friction drift"):
+            groups.setdefault((each.kind, each.part), []).append(each)
+    found = list(explanations)
+    for (kind, part), group in groups.items():
+        if len({each.joint for each in group}) < _MANY:
+            continue
+        sizes = np.array([each.size for each in group])
+        whole = all(each.from_start and each.end is None for each in group)
+        found = [each for each in found if each not in group]
+        if kind == "delay" and whole and np.std(sizes) < _EQUAL * abs(np.mean(sizes)):
+            signal: Part = "measured torques" if part == "torque sensor" else "commanded torques"
+            joints = tuple(dict.fromkeys(each.joint for each in group))
+            found.append(replace(
+                group[0], joint=ALL_JOINTS, part=signal, size=float(np.median(sizes)),
+                joints=joints, confidence=max(each.confidence for each in group),
+            ))  # fmt: skip
+        else:
+            found += [replace(each, confidence=min(each.confidence, _OF_MANY)) for each in group]
+    order = [*names, *PLACES]
+    return sorted(found, key=lambda each: order.index(each.joint))
+
+
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
     return found if found.has_model else replace(found, link=np.full_like(found.link, np.nan))
 
@@ -244,6 +280,7 @@ def _with_runaway_drives(
     clear = [
         replace(
             each,
+            confidence=min(each.confidence, _FAST_CONFIDENCE),
             begin=min(each.begin, begins.get(each.joint, each.begin)),
             from_start=each.from_start and starts,
         )
@@ -301,8 +338,12 @@ def _wrong_drives(found: TorqueResiduals, min_duration: float) -> list[Explanati
 
 def _stuck_joints(found: TorqueResiduals) -> list[Explanation]:
     explanations = []
+    coulomb = found.coulomb
+    if "coulomb_friction" in found.undeclared:  # no more than the drives needed while moving
+        moving = np.where(found.motion.slow, 0.0, np.abs(found.lag))
+        coulomb = np.quantile(np.nan_to_num(moving), _MOVING_QUANTILE, axis=0)
     for joint, name in enumerate(found.robot.names):
-        least = max(0.025 * float(found.scale[joint]), 3.0 * float(found.coulomb[joint]))
+        least = max(0.025 * float(found.scale[joint]), 3.0 * float(coulomb[joint]))
         first, last = _longest(found.motion.slow[:, joint] & np.isfinite(found.lag[:, joint]))
         if (last - first) * found.step < _MIN_STUCK:
             continue

@@ -35,6 +35,7 @@ _FLOOR, _FLOOR_SHARE, _FLOOR_TIME = 1e-4, 1e-3, 2e-3
 _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are not reported
 _MIN_CONFIDENCE = 0.5  # of a kind; below, torques are unexplained
 _SIDES: tuple[Part, Part] = ("joint", "drive")  # parts of torques that are unexplained
+_UNDECLARED = 0.8  # highest confidence of a drive fault from the start if friction is undeclared
 _SIMILAR = 6.0  # difference of scores below which the odds are less than 20
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
@@ -560,6 +561,8 @@ class Search:
         if fit.effect is not None:
             size = fit.effect.size(fit.parameters, fit.errors, fit.joint)
             confidence = limited(confidence, self._unexplained_share(fit), self._ratio(fit))
+            if self.undeclared and fit.edges == (0, self.edges.end) and not fit.columns[0].any():
+                confidence = min(confidence, _UNDECLARED)
         if fit.effect is None or confidence < _MIN_CONFIDENCE:
             torques = (fit.columns @ fit.parameters) * self.sigma
             side, row, joint = np.unravel_index(np.argmax(np.abs(torques)), torques.shape)

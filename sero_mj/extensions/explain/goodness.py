@@ -16,8 +16,8 @@ _FOLDS = 5
 _NOISE = 2.0  # mean square of residuals that is attributed to noise, in squared standard deviations
 # Shares of the torque that remain unexplained, and the highest confidence with each.
 _OF_SMALL, _LARGE = 0.6, 0.5  # highest confidence of a tiny fault; ratio without a limit
-_SHARES = (0.0, 0.05, 0.1, 0.2, 0.35, 0.5, 1.0)
-_CONFIDENCES = (0.99, 0.99, 0.95, 0.8, 0.5, 0.3, 0.0)
+_SHARES = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 1.0)
+_CONFIDENCES = (0.99, 0.99, 0.92, 0.8, 0.65, 0.5, 0.3, 0.0)
 
 
 def unexplained_share(y: Array, X: Array, priors: Array, noise: float = _NOISE) -> float:
