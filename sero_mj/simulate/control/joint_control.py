@@ -323,7 +323,7 @@ class JointImpedanceController(Controller):
         self._timestep, self._at_links, self._feeds_forward = timestep, at_links, feed_forward
         self._rest: Array | None = None
         self._every = max(round(damping_every / timestep), 1)
-        # Number of steps, and the steps in which the damping of the rows is designed again.
+        # Number of completed steps, and the next steps in which the damping is designed again.
         self._k = self._next = 0
         self._due = np.zeros(model.rows, np.intp)
         shape = (*model.rows, model.n)

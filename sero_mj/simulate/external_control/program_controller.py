@@ -87,7 +87,7 @@ class Reachable(ControllerDeclaration):
 
     @property
     def peer(self) -> str:
-        """Name of the program that is shown when the user is asked to allow the connection."""
+        """Name of the program that is shown when the user must allow the connection."""
         return f"{self.host}:{self.port}"
 
     def actions(self, key: str = "") -> list[RequestedAction]:

@@ -27,7 +27,7 @@ from ...robots.declared.route_text import names_in, route_texts
 from ...robots.declared.scene import Scene
 from .run_log import event_of
 
-# Inputs of a robot that are signals of a run.
+# Inputs of a robot that are also signals of a run log.
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # signal for the joint angles of a double
 _CHUNK = 8192  # number of packets that are decoded together
