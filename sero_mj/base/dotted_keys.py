@@ -42,8 +42,8 @@ def with_value(
         table: table to copy, possibly with nested tables and lists.
         parts: parts of the key, beginning with a name. Missing tables are created.
         value: new value. A number replaces every element of a list of numbers.
-        built: object that was built from the table. Its arrays replace missing lists.
-        below: table that this table overrides. Its lists and frames replace missing ones.
+        built: object that was built from the table. A list that the table lacks is copied from it.
+        below: table that this table overrides. Missing lists and frames are first looked up in it.
         n: number of elements that a single number in the table stands for; 0 for a scalar.
 
     Raises:
@@ -89,10 +89,11 @@ def with_value(
 def lacking(
     section: str, name: str, problems: Iterable[Problem], keys: Collection[str], others: list[str]
 ) -> str | None:
-    """Describes what is missing in a table that only dotted keys create, or returns None.
+    """Returns an error for a new table that dotted keys create without all required keys, or None.
 
-    `problems` are the errors of the table, `keys` are the dotted keys that created it, and `others`
-    are the names of the tables in the file. None means that only values of the table are invalid.
+    For example, `controllers.lrw.stiffness=200` with a misspelled name creates such a table.
+    `problems` are the errors of the new table, `keys` are the dotted keys that created it, and
+    `others` are the names of the tables in the file.
     """
     for problem in problems:
         place = f"{section}.{name}.{problem.key}."

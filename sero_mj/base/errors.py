@@ -151,7 +151,7 @@ class SeroError(Exception):
         super().__init__(*(printable(each) if isinstance(each, str) else each for each in args))
 
     def __reduce__(self) -> tuple[Callable[..., SeroError], tuple[object, ...]]:
-        """Restores the text and attributes, because the arguments of subclasses differ."""
+        """Pickles text and attributes instead of arguments, which differ between subclasses."""
         return _restored, (type(self), self.args, self.__dict__)
 
 

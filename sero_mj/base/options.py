@@ -61,7 +61,7 @@ class Options(Declaration):
 
     @classmethod
     def taken_from(cls, others: Options) -> Self:
-        """Creates options of this class from the fields that they share with other options."""
+        """Creates options of this class, with the values of the fields that `others` also has."""
         shared = cls.model_fields.keys() & vars(others).keys()
         return cls(**{name: getattr(others, name) for name in shared})
 

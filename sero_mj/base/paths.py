@@ -20,7 +20,7 @@ from .errors import Problem, UnknownName, nearest
 from .plugins import IMPORTERS, ROBOTS, load_all
 
 ROBOT_FILE, GROUP_FILE = "robot.toml", "group.toml"  # in the folder of a model
-# Names of robot files that do not describe the robot.
+# Names of robot files that do not include the name of the robot.
 _GENERIC_NAMES = ("robot", "model", "scene", "main")
 # In third-party folders: the scene with a floor, and subfolders that may contain models.
 _SCENE_FILE, _INNER = "scene.xml", ("mjcf", "urdf", "robots")

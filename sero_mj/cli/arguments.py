@@ -248,7 +248,7 @@ def print_programs(scenario: Scenario | None) -> None:
 
 @contextlib.contextmanager
 def named_settings(settings: Mapping[str, Any], option: str = "--set") -> Iterator[None]:
-    """Converts problems of fields that an option has set, so that they name the option."""
+    """Makes errors in overridden fields name the option, as in `--set lwr.home`, not the file."""
     try:
         yield
     except DeclarationError as error:

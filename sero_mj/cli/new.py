@@ -309,7 +309,8 @@ class Snippet(NamedTuple):
 
     Attributes:
         robot: default robot in the scene of the snippet.
-        commanded: expression that is appended to the route of the commanded torques.
+        commanded: text that is appended to the route of the commanded torques in the scene, such as
+            ` + {robot}.gravity_torques`.
     """
 
     package: str

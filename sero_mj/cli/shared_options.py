@@ -234,8 +234,8 @@ class RunOptions(Options):
     """Options for reading recordings of robots.
 
     Attributes:
-        scene: scene with the robots and routes of a table, or of a recording without robots or
-            routes (default: the scene in the recording).
+        scene: scene that declares the robots and routes, for tables and for recordings without
+            robots or routes (default: the scene in the recording).
         source: source to read (default: all sources).
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """

@@ -56,10 +56,10 @@ class Job(Protocol):
         """Returns the additional files that the task with these values reads."""
 
     def below(self, root: Path) -> Job:
-        """Returns a job that reads copies of its files, which are below a root folder."""
+        """Returns this job for a machine that has copies of its files below a root folder."""
 
     def killed(self) -> dict[str, Any]:
-        """Returns the results of a task whose process was killed."""
+        """Returns the results to report for a task whose process was killed."""
 
 
 @dataclass(frozen=True)
@@ -162,9 +162,9 @@ def files_in(path: Path) -> list[Path]:
 
 
 def below(root: Path, value: Any) -> Any:
-    """Returns a copy of a value in which absolute file names refer to copies below a root folder.
+    """Returns a copy of a value in which `/FILE` is replaced by `ROOT/FILE` if this copy exists.
 
-    Names of files without a copy do not change.
+    `value` may contain file names in nested lists and mappings.
     """
     if isinstance(value, str) and value.startswith("/") and (root / value[1:]).exists():
         return f"{root}{value}"

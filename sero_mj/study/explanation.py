@@ -280,7 +280,7 @@ def find_explainer() -> Explainer | None:
 
 
 def differing(pair: Pair, found: Sequence[Explanation]) -> list[Explanation]:
-    """Returns the explanations for joints whose torques differ."""
+    """Returns the explanations that concern a joint whose torques differ between the runs."""
     differs = (pair.difference("torques") != 0).any(axis=0)
     joints = {joint for joint, is_one in zip(pair.robot.names, differs, strict=True) if is_one}
     return [each for each in found if joints & {*each.joints}]

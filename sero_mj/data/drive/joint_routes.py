@@ -1,6 +1,7 @@
-"""Routes to some joints of a robot, by the names of joints and limbs.
+"""Routes to some joints of a robot, such as `udp.values0 for l_elbow, r_arm`.
 
-Each such origin is a `JointPart`. `whole_route` merges the parts of an input into one route.
+Each of these routes becomes a `JointPart` per robot. `whole_route` merges all parts of an input,
+such as `icub.joint_angles`, into one route.
 """
 
 from __future__ import annotations
@@ -33,11 +34,12 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class JointPart:
-    """An origin for k joints of an input.
+    """The part of a route that sets k joints of an input.
 
     Attributes:
         value: values of the joints, shape (k,).
-        numbers: index of each of the k values in the numbers of the expression `text`.
+        text: expression that the route reads.
+        numbers: for each of the k joints, the index of its number in the result of `text`.
     """
 
     to: Input
@@ -50,9 +52,9 @@ class JointPart:
 def places_by_name(
     scene: Scene, inputs: Sequence[Input], *, in_group: bool
 ) -> dict[str, list[Place]]:
-    """Returns a mapping from the names of joints and limbs to joints of inputs.
+    """Returns the joints of inputs by name: one joint, or all joints of a limb.
 
-    The names in a group are `ROBOT_JOINT`, `ROBOT_LIMB` and `ROBOT`.
+    In a group, the names are `ROBOT_JOINT` and `ROBOT_LIMB`, and `ROBOT` for all joints of a robot.
     """
     places: dict[str, list[Place]] = {}
     for item in inputs:

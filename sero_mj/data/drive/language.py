@@ -6,8 +6,9 @@ condition  = comparisons of expressions with `<`, `<=`, `>`, `>=`, `==`, `!=`, a
 expression = numbers, names, `+ - * /`, parentheses, lists `[a, b]`, indices `a[0]`, `a[0,3,5]`,
              `a[1:4]`, as in Python, and in conditions `abs(a)`, `min(a)`, `max(a)`, `norm(a)`
 
-Names may contain `-`, `.` and `/`, so the operators `-` and `/` need spaces around them. Python
-parses a text in which each token is replaced by a cell of fixed width.
+Names may contain `-`, `.` and `/`, so the operators `-` and `/` need spaces around them. Before
+Python parses a text, each token is replaced by a placeholder of fixed width. The position of a node
+in this text therefore gives the index of its token.
 """
 
 from __future__ import annotations

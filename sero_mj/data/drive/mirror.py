@@ -58,7 +58,7 @@ class LiveWorld(Protocol):
 
     @property
     def has_states(self) -> bool:
-        """Whether an image depends only on MuJoCo's state, so that it can be rendered later."""
+        """Whether MuJoCo's state is enough to render an image later, see `Mirror.state`."""
 
     def reset(self) -> None: ...
 
@@ -229,7 +229,7 @@ class Mirror:
         return values
 
     def state(self) -> Array:
-        """Returns a copy of the state that determines an image of the current time."""
+        """Returns a copy of MuJoCo's state, from which the current image can be rendered later."""
         state = np.empty(mujoco.mj_stateSize(self.world.model, _STATE))
         mujoco.mj_getState(self.world.model, self.data, state, _STATE)
         return state
@@ -307,9 +307,9 @@ class _SourceStates:
 
 
 class Watch:
-    """A `LiveWorld` with a copy of the data of an overlay.
+    """A `LiveWorld` that shows an external model, whose data the user's own loop changes.
 
-    Because of the copy, a paused window does not change while the user's loop continues.
+    `advance` copies these data, so a paused window does not change while the loop continues.
     """
 
     def __init__(self, world: ModelWorld) -> None:

@@ -169,7 +169,7 @@ def _set_poses(data: mujoco.MjData, mocap: Ints, poses: Array) -> None:
 
 
 class Router:
-    """A sequence of routes to apply to a world; each route follows the routes to its origins."""
+    """Applies routes to a world, in the order of `routes`; see `Wiring.later` for this order."""
 
     def __init__(self, world: WorldView, routes: Sequence[Route]) -> None:
         self._world = world

@@ -50,9 +50,9 @@ class Affine:
 
     Attributes:
         offset: constant, shape (n,).
-        whole: origin whose numbers, in order, are the result; None if there is no such origin.
-        only: origin and indices of the numbers that are the result without factors, if all of them
-            have the same origin; otherwise None.
+        whole: origin, if the result is all of its numbers in the same order; otherwise None.
+        only: origin and indices, if the result is a selection of the numbers of one origin, without
+            factors and constants; otherwise None.
     """
 
     offset: Array
@@ -129,12 +129,12 @@ class Route:
     Attributes:
         to: input that the route sets.
         text: text of the origin.
-        numbers: index of each number of the input in the numbers of `text`. A coupled joint has the
-            index of its driving joint.
-        texts: origin of each number of the input, if the route is to individual joints; empty for
-            joints without an origin.
-        rest: declared values or NaN for joints without an origin, if the route is to individual
-            joints.
+        numbers: for each number of the input, the index of its value in the result of `text`. A
+            coupled joint has the index of its driving joint.
+        texts: for a route to individual joints, the expression of each joint; empty for joints that
+            the route does not set.
+        rest: for a route to individual joints, the declared values (or NaN) of joints that it does
+            not set.
         condition: condition of a toggle; None if the route sets numbers.
     """
 

@@ -1,6 +1,7 @@
 """`RouteChecker`: finds the targets and origins of routes, and reports their errors.
 
-A `DeclarationError` without problems means that another check reports the error.
+If a route is invalid only because of an error that another check reports, for example an invalid
+robot, the raised `DeclarationError` has no problems.
 """
 
 from __future__ import annotations

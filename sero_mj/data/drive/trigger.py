@@ -31,7 +31,7 @@ Events = Mapping[str, Array]  # numbers of each event over time, shape (T, ...)
 
 @dataclass(frozen=True, eq=False)
 class Hits:
-    """The packets in which a condition holds: `holds` has one truth value per packet."""
+    """The result of checking packets: `holds` is true for each packet that fulfills a condition."""
 
     holds: Bools
     _compared: tuple[Compared, ...] = ()

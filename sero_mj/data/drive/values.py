@@ -116,7 +116,7 @@ class Value:
         return Value(entries, sizes=self.sizes)
 
     def spread(self, at: Ints, rest: Array) -> Value:
-        """Returns m numbers: those of this value at the k indices `at`, and otherwise `rest`.
+        """Returns `rest`, m constants, with the numbers of this value at the k indices `at`.
 
         If this value is a single number, it is repeated k times.
         """

@@ -47,7 +47,8 @@ class Velocities:
         Args:
             fresh: names of the sources with new packets.
             latest: latest packet of each source.
-            late: whether to update the robots that `Placer.place` moves, instead of all others.
+            late: true to update only the robots that `Placer.place` moves, after it has moved them;
+                false to update only the other robots.
         """
         for name, (part, is_late, sources) in self._parts.items():
             came = [latest[source].arrival for source in sources & fresh]

@@ -54,9 +54,10 @@ class Wiring:
     """The sources of a scene and its checked routes.
 
     Attributes:
-        later: routes that depend on more than one packet, each after the routes to its origins.
-        levels: names of the bodies that frames move, in levels; each level depends only on the
-            levels before it.
+        later: routes that depend on several sources or on outputs of robots. They are sorted: if a
+            route reads an input, the route that sets this input comes first.
+        levels: names of the elements that frames move, grouped in levels. The poses in a level
+            depend only on the poses in earlier levels.
     """
 
     sources: dict[str, Source] = field(default_factory=dict)
@@ -125,7 +126,7 @@ def wired_source(scene: Scene, name: str, declared: Mapping[str, Any] | Source) 
 
 
 def topics_of(scene: Scene) -> dict[str, Source]:
-    """Returns the message receivers of a scene's valid sources; see `Source.of_messages`."""
+    """Returns `Source.of_messages` by source name, for valid sources that receive messages."""
     found: dict[str, Source] = {}
     for name, declared in scene.sources.items():
         with suppress(SeroError):

@@ -58,7 +58,7 @@ class Counters:
         implausible: malformed packets with a number beyond its limit; see `Source.limit`.
         foreign: packets of unexpected senders, not listed in `sender`. They are not checked.
         late: packets that arrived after a packet with a higher sequence number. They are applied
-            only if no packet may be lost.
+            only if `only_latest_packet` is false.
         duplicates: packets with a repeated sequence number, which are not applied.
         restarts: restarts of the sender, detected by its sequence numbers or its port.
         torn: reads of shared memory that failed because the writer was always writing.

@@ -20,7 +20,7 @@ _DECODING = (
     "is_double", "column_major", "alignment", "scale", "structure", "sequence", "time",
     "time_scale",
 )  # fmt: skip
-_SIGNS = ("torque_sign",)  # a field of some kinds only
+_SIGNS = ("torque_sign",)  # a field that only some kinds of sources have
 
 
 class PacketDeclaration(Declaration):
@@ -125,7 +125,7 @@ class PacketDeclaration(Declaration):
         return []
 
     def decoding_fields(self) -> dict[str, Any]:
-        """Returns the required fields, and the fields for decoding packets, as JSON types."""
+        """Returns the fields that recordings store for decoding packets later, as JSON types."""
         required = {key for key, field in type(self).model_fields.items() if field.is_required()}
         kept = required.union(_DECODING, _SIGNS)
         fields = self.model_dump(mode="json", include=kept, exclude_defaults=True)

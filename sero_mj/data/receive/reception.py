@@ -31,10 +31,10 @@ Tap = Callable[[Rows, Ints, Array], object]
 
 
 class Timeline:
-    """Clock of a source. Live sources use real time; recordings and runs override all methods."""
+    """Clock of a source: real time, unless a recording or simulation overrides these methods."""
 
     def now(self) -> float:
-        """Returns the current time in seconds on the clock of the arrival times."""
+        """Returns the current time in seconds, on the same clock as packets' arrival times."""
         return clock.monotonic()
 
     @property
@@ -44,22 +44,22 @@ class Timeline:
 
     @property
     def end(self) -> float | None:
-        """Time of the last packet in seconds, as for `advance_to`; None for live sources."""
+        """Time of the last packet in seconds; None for live sources and runs without an end."""
         return None
 
     @property
     def begin(self) -> float:
-        """Time of the first packet in seconds, as for `advance_to`."""
+        """Earliest time in seconds to which `advance_to` can go back."""
         return 0.0
 
     @property
     def newest(self) -> float | None:
-        """Time in seconds of the newest packet, if a live source can display its past; or None."""
+        """Time in seconds that a simulation without an end has reached; None for other sources."""
         return None
 
     @property
     def step(self) -> float | None:
-        """Time step in s of a simulation, whose `advance_to` is slow; None for other sources."""
+        """Time step in seconds, if `advance_to` runs a simulation; None for other sources."""
         return None
 
     def advance_to(self, time: float) -> None:

@@ -86,7 +86,7 @@ class Source(Reception):
 
     @property
     def of_messages(self) -> Source | None:
-        """Receiver that converts recorded messages to packets; None if packets are recorded."""
+        """Source that converts messages, for example of ROS, to packets; None without messages."""
         return None
 
     @property
@@ -158,7 +158,7 @@ class Source(Reception):
         """
 
     def needs_joints(self, event: str) -> bool:
-        """Returns whether an event is missing because `set_joints` has not been called."""
+        """Returns whether an event does not exist until `set_joints` is called."""
         return False
 
     def __enter__(self) -> Self:

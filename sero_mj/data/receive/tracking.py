@@ -165,8 +165,10 @@ class Senders:
 
     Attributes:
         at_once: number of concurrent senders.
-        gone: addresses of the replaced senders that the last call of `note` detected.
-        begins: row of the last batch at which a new sender follows another one, or None.
+        gone: addresses of the senders that have restarted with another address, as detected in the
+            last batch.
+        begins: row of the first packet in the last batch whose sender may be a restarted program;
+            None if there is none.
     """
 
     def __init__(self) -> None:

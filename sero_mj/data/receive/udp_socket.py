@@ -87,7 +87,8 @@ class Batch:
 
     Attributes:
         rows: packets, shape (n, `max_bytes`); longer packets are truncated.
-        lengths: lengths of the sent packets, shape (n,); of truncated ones possibly lower bounds.
+        lengths: lengths of the packets before truncation, shape (n,). If the system does not report
+            the length of a truncated packet, its length is a lower bound.
         arrivals: arrival times in seconds on the clock of `time.monotonic`, shape (n,).
         senders: socket addresses in the layout of Linux, shape (n, 28), see `pack_address`.
         dropped: total number of packets that the kernel has dropped; None if unknown.

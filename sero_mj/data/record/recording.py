@@ -157,7 +157,7 @@ class PacketFile(ABC):
             raise RecordingError(self.path, reason)
 
     def message_source(self, fields: Mapping[str, Any]) -> Source | None:
-        """Returns a receiver of messages with these fields; None for recordings of packets."""
+        """Returns a source that converts recorded messages; None if packets are recorded."""
         return None
 
     def replay_table(self, name: str, source: Source | None) -> dict[str, Any]:

@@ -49,7 +49,7 @@ from .recording_format import (
 CHUNK_BYTES = 1 << 20
 FLUSH_AFTER = 0.4  # s; at most half a second is lost if the process is killed
 _MESSAGE_HEAD = 31  # bytes of a message's record, without its data
-_NO_LIMIT = 1 << 62  # chunk size of the library, which must not end chunks itself
+_NO_LIMIT = 1 << 62  # chunk size, so large that the library never ends a chunk
 _WHY = {
     errno.ENOSPC: "no space left on the disk",
     errno.EDQUOT: "the disk quota is exceeded",

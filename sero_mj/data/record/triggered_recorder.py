@@ -1,4 +1,4 @@
-"""Recorder that buffers the last seconds of packets, and records the time around each event."""
+"""Recorder that buffers the packets of the last seconds, and records those around each event."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ Clock = Callable[[], float]
 
 @dataclass(frozen=True)
 class RecordedEvent:
-    """An event and its recording. Times are in seconds on the clock of arrival times.
+    """An event and its recording. Times are in seconds, on the same clock as arrival times.
 
     Attributes:
         number: number of the event, counted from 1.
@@ -124,8 +124,8 @@ class TriggeredRecorder(PacketWorker):
         buffer_bytes: maximum size of the buffer in bytes.
         clock_at: function that returns the clock of a recording for the arrival time of its first
             packet; None for live sources.
-        now: function that returns the time on the clock of arrival times; None if this is not a
-            real-time clock.
+        now: function that returns the current time on the same clock as arrival times; None if the
+            packets do not arrive in real time, for example in a replay.
 
     Attributes:
         on_event: function called when an event begins, and when its recording is complete.
@@ -173,7 +173,7 @@ class TriggeredRecorder(PacketWorker):
         self._files.append((name, media_type, data))
 
     def record_now(self, what: str) -> None:
-        """Records the time around the current time as an event, regardless of the condition."""
+        """Records the packets around now as an event, even if the condition does not hold."""
         with self._changed:
             self._requested.append(what)
             self._changed.notify_all()

@@ -21,7 +21,7 @@ _AMPLITUDE = 0.4  # amplitude as a share of half the range of the joint
 _AMPLITUDE_ABOUT_POSE = 0.2  # the same share for motions about a declared pose
 _BEND = 0.2  # share of half the range, so that the arm is bent in the center pose
 _MAX_SWING = 1.1  # rad
-_REDUCTION, _REDUCTIONS = 0.75, 10  # factor of amplitudes with collisions, and maximum number
+_REDUCTION, _REDUCTIONS = 0.75, 10  # factor of amplitudes after a collision, and its maximum uses
 _SAMPLE_TIMES = 0.618034 * np.arange(500)  # times that sample all phases of the motion, s
 _PERIODS = np.array([7.0, 9.0, 6.0, 8.0, 5.0, 4.0, 3.5])  # s; repeated for more joints
 

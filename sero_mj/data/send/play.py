@@ -92,7 +92,7 @@ class MotionPackets:
         routes.sort(key=lambda route: _importance(scene, route.to))
         self._wanted = [(route.to, route.negated) for route in routes]
         self._inverse = None if all(r.value.whole for r in routes) else RouteInverse(routes)
-        self._plain: dict[str, str] = {}  # input that all numbers of an event set, by event
+        self._plain: dict[str, str] = {}  # name of the input that an event contains, by event
         for route in routes:
             if route.value.whole is not None:
                 self._plain.setdefault(route.value.whole.key, route.to.target)
@@ -317,11 +317,12 @@ class RouteInverse:
     ) -> Callable[[Origin, int], Array]:
         """Solves the routes for one packet.
 
-        Returns a function from an event and the count of its numbers to these numbers.
+        Returns a function that takes an event and the count of its numbers, and returns the numbers
+        of this event in the packet.
 
         Args:
             wanted: values of the inputs by target, such as `lwr.torques`, shape (n,) each.
-            output: function from an output of a robot to its values.
+            output: function that returns the values of an output of a robot.
         """
 
         def known(origin: Origin) -> Array:

@@ -66,7 +66,7 @@ _KNOWN = frozenset(
     | {"clear_color"}
 )
 
-_SIZES = {  # numbers of values of the options that are not scalars
+_SIZES = {  # number of values of each option that is not a scalar
     **dict.fromkeys(("clear_color", "fog.color"), 3),
     **{f"cg.{name}": 3 for name in ("slope", "offset", "power")},
     **{f"cg.{name}": 3 for name in ("shadow_gamma", "mid_point", "highlight_scale")},

@@ -27,9 +27,10 @@ class FrankaClient(Reachable):
             is selected and replaces `{port}` in `command`.
         command: command that starts the program, as for `udp`. If the program exits with status 0,
             the run continues.
-        clock: `real_time` to send a state every millisecond, or `lockstep` to wait for each command
-            of a motion, and between two motions for the next motion.
-        patience: time in s to wait in lockstep for a command, and for the next motion.
+        clock: `real_time` to send a state every millisecond, or `lockstep` to stop the simulation
+            until each command of a motion arrives, and between motions until the next motion.
+        patience: in lockstep, maximum time in s to wait for a command of a motion, and between
+            motions for the next motion.
         first_patience: time in s to wait for the first client, and for the first command of a
             motion.
         version: server version of the robot, which must match libfranka: 5 for libfranka 0.9, 6 for

@@ -50,7 +50,7 @@ class FrankaState:
         self[name] = pose.T.ravel()
 
     def measure(self, sensed: Sensed, external: Array) -> None:
-        """Writes the measured values of the robot and the values that follow from them.
+        """Writes the measured values of the robot, and the values that are computed from them.
 
         `external` are the torques that the environment exerts on the robot, shape (7,), Nm.
         """

@@ -28,7 +28,7 @@ from .photo_camera import PhotoCamera, opencv
 
 _MIN_POINTS, _MIN_WITH_FOCAL = 4, 6
 _FLATNESS = 1e-3  # maximum deviation of coplanar or collinear points, fraction of their extent
-_AMBIGUOUS = 1.5  # multiple of the smallest error up to which another camera also fits
+_AMBIGUOUS = 1.5  # another camera pose also fits up to this multiple of the smallest error
 _CLICK_ERROR = 3.0  # maximum error of a careful click, pixels
 _MAX_SUBSETS = 1000
 _MAX_MEAN_ERROR = 0.05  # maximum mean error of a valid camera, fraction of the image width
@@ -99,7 +99,7 @@ def _joints(world: WorldView) -> dict[str, int]:
 
 
 def points_apart(world: WorldView, data: mujoco.MjData) -> list[str]:
-    """Returns the names of distinct points that users click, from base to flange of each robot.
+    """Returns the names of all points at different places, from base to flange of each robot.
 
     If several frames or joints coincide, only one of them is included.
     """
@@ -270,8 +270,8 @@ def calibrate(
         find_focal: whether the focal length, which is equal for x and y, is computed, too.
 
     Raises:
-        UsageError: there are too few points, the points are collinear, two cameras fit coplanar
-            points, or no camera fits.
+        UsageError: there are too few points, the points are collinear, coplanar points fit two
+            poses of the camera, or no pose fits.
     """
     required = _MIN_WITH_FOCAL if find_focal else _MIN_POINTS
     if len(points) < required:

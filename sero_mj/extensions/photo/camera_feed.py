@@ -210,7 +210,11 @@ class VideoFeed:
             )
 
     def latest(self, time: float = 0.0) -> tuple[int, Pixels]:
-        """Returns the number and the pixels (height, width, 3) of the newest decoded frame."""
+        """Requests the frame at a displayed time in s, and returns the newest decoded frame.
+
+        Frames have a number, from 1 on, and pixels, shape (height, width, 3). The number is 0, and
+        the pixels are black, until a frame has been decoded.
+        """
         with self._changed:
             self._wanted = time - self._offset
             self._changed.notify_all()
@@ -275,7 +279,8 @@ class VideoFeed:
             self._changed.notify_all()
 
     def _wait_for_next(self, at: float, end: float) -> bool:
-        # Returns whether the frame after the one that is displayed from `at` to `end` is needed.
+        # Waits while the frame from `at` to `end` is displayed. Returns whether to decode the next
+        # frame, instead of seeking.
         with self._changed:
             self._changed.wait_for(
                 lambda: self._closing or not at - _TIME_TOLERANCE <= self._sought < end

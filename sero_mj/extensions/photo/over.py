@@ -43,7 +43,7 @@ class PhotoRenderer(Painter):
     """Context manager that renders the visual features of a world over photos of one camera.
 
     Attributes:
-        renderer: name of the renderer.
+        renderer: name of the renderer in use, such as `classic`.
         photo: photo that `render` uses by default.
 
     Raises:

@@ -35,7 +35,7 @@ _OVERSAMPLING = 1.25  # resolution of the undistorted image, relative to that of
 _MAX_PIXELS = 12e6  # maximum number of pixels of the undistorted image
 _LOOKUP_COLUMNS = 320  # number of samples per row; pixels in between are interpolated
 _OUTSIDE = -10.0  # coordinate of pixels outside of the image
-_ROUND_TRIP_TOLERANCE = 0.1  # maximum error of pixel to ray to pixel, pixels
+_ROUND_TRIP_TOLERANCE = 0.1  # maximum error of a pixel after conversion to a ray and back, pixels
 _MAX_RADIUS = 20.0  # maximum distance of rays from the axis at z = 1
 _GRID = 33  # number of samples along each image side
 
@@ -180,7 +180,7 @@ class PhotoCamera:
 
     @property
     def drawable(self) -> float:
-        """Fraction of the image in which pixels have rays, so that geoms can be drawn."""
+        """Fraction of the image in which the lens model is valid, so that geoms can be drawn."""
         return float(np.isfinite(self._some_rays).all(axis=-1).mean())
 
     @cached_property
@@ -197,8 +197,8 @@ class PhotoCamera:
 def _limits_of(
     width: int, height: int, matrix: bytes, distortion: bytes, model: DistortionModel
 ) -> tuple[float, float]:
-    # Returns the radius from which pixels move back towards the center, and the largest radius in
-    # the image, both at z = 1.
+    # Returns two distances of rays from the axis at z = 1: the one beyond which distortion moves
+    # pixels back towards the center, and the largest one in the image.
     K, coefficients = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     lens = PhotoCamera(width, height, K, np.eye(4), coefficients, model)
     radii = np.linspace(0.0, _MAX_RADIUS, 4001)

@@ -38,14 +38,14 @@ _METADATA = "metadata.yaml"  # file in the folder of a rosbag2
 _FILES = ", ".join(f"NAME{ending}" for ending in BAG_ENDINGS)
 _SQLITE, _SQLITE_HEAD = b"SQLite format 3\0", 100  # bytes
 _ROS1 = b"#ROSBAG V2.0"
-_LOOKBACK = 0.5  # s; interval before a time that is searched for the values at that time
+_LOOKBACK = 0.5  # s; values at a time are searched for in this interval before it
 _DEVICE_PERIOD = 2.0  # s; every device should publish within this time
 _LOOKBACK_FACTOR = 8.0  # factor by which the interval grows until values are found
 _FIELDS = frozenset(RosSource.model_fields) - {"name", "structure", "only_latest_packet"}
 _NEXT = 1e-9  # s, the resolution of times
 _MAX_LISTED = 10  # topics in an error message
 _MAX_JOINTS = 3  # joints of a topic in an error message
-_FIRST_TRANSFORMS = 200  # messages; all publishers should have sent a transform by then
+_FIRST_TRANSFORMS = 200  # messages that should include a transform of each publisher
 
 
 def is_bag(path: Path) -> bool:

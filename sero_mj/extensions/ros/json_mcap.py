@@ -56,7 +56,7 @@ class JsonTopic:
 
 
 class JsonMcap:
-    """Reads JSON messages with the part of `rosbags.highlevel.AnyReader` that `Bag` uses.
+    """Reads JSON messages. It has the methods of `rosbags.highlevel.AnyReader` that `Bag` uses.
 
     Attributes:
         start_time: log time of the first message in ns since the epoch.

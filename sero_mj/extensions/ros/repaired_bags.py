@@ -34,7 +34,7 @@ from ...data.record.mcap_reader import (
     walk_records,
 )
 
-_CACHED = 8  # files, because each file is opened several times before it is shown
+_CACHED = 8  # files whose repairs are cached, because each is opened several times
 _LOGS = ("-wal", "-journal")  # appended to the name of the database
 _NUMBER = 2  # bytes of the number at the start of schemas, channels and messages
 _INDEX_HEAD, _INDEX_ENTRY = 15, 16  # bytes of the index of a channel's messages in a chunk

@@ -61,7 +61,7 @@ class Ros2Node(Answering):
         interface: meaning of commands: `effort` for torques, `position` for the target angles of a
             joint impedance controller, or `trajectory` for target trajectories of this controller.
             A trajectory begins at the current target of the previous one, or at the robot's
-            position. In lockstep, only the first trajectory is waited for.
+            position. In lockstep, the simulation waits only for the first trajectory.
         stiffness: stiffness of the joint impedance controller in Nm/rad, as one value for all
             joints or one value per joint.
         damping: damping of the joint impedance controller in Nm s/rad, as one value for all joints

@@ -48,7 +48,7 @@ VARIABLES = (
     ("safety_mode", "INT32", "safety_mode:1i"),
 )
 # Values that are added to a data package: whether its torques are commanded torques, and a package
-# number. Time stamps advance the number, so it skips packages that the controller did not send.
+# number. The number is computed from time stamps, so it skips packages that have not arrived.
 _ADDED = struct.Struct(">BI")
 STRUCTURE = " ".join(
     (">", *(events for *_, events in VARIABLES), "torques_are_commanded:1B package_number:1I")

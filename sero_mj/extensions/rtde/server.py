@@ -68,7 +68,7 @@ class Robot(Protocol):
         """Counts a rejected message or command, and logs each reason once."""
 
     def take_script(self, text: bytes) -> None:
-        """Called with a script, which is not run."""
+        """Called when a client has sent URScript, which starts a program on a real robot."""
 
     def stop_program(self) -> None:
         """Called when the dashboard server stops the robot's program."""
@@ -272,7 +272,7 @@ class DashboardPeer(Peer):
 
 
 class ScriptPeer(Peer):
-    """A client that sends URScript, which is not run."""
+    """A client that sends URScript. The script is passed to `Robot.take_script`, but not run."""
 
     def handle(self, received: bytes) -> bytes:
         if received.rstrip().endswith((b"\nend", b"\r\nend")):  # inner ones are indented

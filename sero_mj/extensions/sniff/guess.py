@@ -188,7 +188,7 @@ def _with_body(
     plausible, seen = plausibility(numbers)
     body, column_major, words = _body(numbers)
     about = f"{word}: {words}{f', after a header of {start} bytes' if start else ''}"
-    before = ">" if header.startswith(">") else "<"  # an order applies to all following items
+    before = ">" if header.startswith(">") else "<"  # a byte order applies to all following items
     order = type_[0] if type_[0] != before else ""
     structure = f"{header} {order}{body}" if header else order + body
     guess = Guess(structure, type_[-1] == "8", column_major, about, plausible)

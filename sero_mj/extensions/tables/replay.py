@@ -146,7 +146,7 @@ class TableReplay(FileSource):
     Attributes:
         columns: names of the columns of each signal: a pattern such as `"q_*"`, a list, or
             `time = "stamp"`. A unit can follow the signal in brackets: `"joint_angles [deg]"`.
-        robot: robot name with which the names of columns can begin.
+        robot: robot name that column names can have as a prefix.
         structure: structure of packets whose numbers are in the table; `export` writes such tables.
         rate: rows per second, for a table without a time column.
     """

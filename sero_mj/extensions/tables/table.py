@@ -69,7 +69,8 @@ class Table:
         time: name of the time column; empty if a rate is declared.
         times: non-decreasing times of the rows, shape (T,), s; absolute times are relative to 1970.
         columns: values of the other columns by name, shape (T,). Empty cells and text are NaN.
-        wrong: error of the first cell with text of each column that has text, by column name.
+        wrong: errors by column name, for columns with text. Each one describes the first cell with
+            text in the column.
     """
 
     path: Path

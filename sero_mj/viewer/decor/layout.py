@@ -155,11 +155,11 @@ def limits(corners: Array, height: float) -> tuple[float, float]:
 
 
 def _as_near(corners: Array, inner: float, outward: float, ramp: float, height: float) -> Array:
-    """Returns the corner panels of the other side, with heights that depend on their distance.
+    """Returns the corner panels of the other side of the image, as obstacles for a column.
 
-    A corner panel that reaches the column at `inner` has its full height. At a distance of `ramp`
-    pixels, its height is zero. Heights in between are interpolated, so that panels do not jump when
-    the robot moves.
+    `inner` is the edge of the column that faces them. A corner panel that reaches this edge has its
+    full height. The height decreases with the distance and is zero at `ramp` pixels, so that the
+    panels of the column do not jump when the robot moves.
     """
     away = inner - corners[:, 2] if outward > 0 else corners[:, 0] - inner
     share = np.clip(1.0 - away / ramp, 0.0, 1.0)

@@ -49,7 +49,7 @@ class BillboardLimbs:
         """
         limb = self.of_joint[shown]
         collapsed = np.zeros(len(shown), bool)
-        # For a single limb, the most loaded joints are more informative.
+        # One billboard for the only limb would be less informative than those of loaded joints.
         if len(shown) <= room or len(np.unique(limb)) == 1:
             return collapsed
         numbers, counts = np.unique(limb[~is_clicked], return_counts=True)

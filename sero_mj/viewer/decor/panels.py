@@ -53,7 +53,7 @@ class Panels:
         has_values: whether the lines contain values, which may be aligned in columns.
         bars: light bars on the panels, shape (m, 4), pixels. The columns are left, bottom, width
             and height.
-        of_arrows: whether the panels only explain arrows and can be omitted without arrows.
+        of_arrows: whether the panels only explain arrows, so that images without arrows omit them.
     """
 
     centres: Array
@@ -79,7 +79,7 @@ class Panels:
 
 
 def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tuple[Array, Array]:
-    """Returns the centers and sizes of panels, moved into the image if necessary."""
+    """Returns the centers and sizes of labels, with centers moved so that labels are visible."""
     widths = np.array([max(view.font.width(line) for line in lines) for lines in texts], float)
     sizes = panel_sizes(widths, np.array([len(lines) for lines in texts]), view)
     half = sizes / 2
@@ -88,9 +88,10 @@ def labels_at(view: ImageView, centres: Array, texts: list[list[bytes]]) -> tupl
 
 
 def labels_below(places: Array, names: list[str], view: ImageView) -> tuple[Panels, Ints] | None:
-    """Returns name labels below the visible points of `places`, shape (k, 3), and their indices.
+    """Returns labels with the names of the points in the image, and the indices of these points.
 
-    Returns None if no point is visible.
+    A label is below its point. `places` has all points, shape (k, 3), m. Returns None if no point
+    is in the image.
     """
     pixels, depth = view.project(places)
     visible = view.sees(pixels, depth).nonzero()[0]

@@ -31,7 +31,8 @@ class _Routed:
 
     Attributes:
         ages: indices in `userdata` of the data age of each source of an input, shape (k,).
-        flags: indices in `userdata` of flags that state who last set each input, shape (k,).
+        flags: indices in `userdata` of flags, one for each age, that state whether a program or a
+            source has last set the input, shape (k,).
         stale_after: age from which data is stale, s.
         base: body at whose origin the label is shown; -1 for arrows and frames.
         geoms: mask of the geoms of the item, shape (ngeom,); None for arrows and frames.
@@ -45,7 +46,7 @@ class _Routed:
     geoms: NDArray[np.bool_] | None
 
 
-_Labelled = tuple[int, list[str]]  # body at whose origin the label of a group is, and its members
+_Labelled = tuple[int, list[str]]  # body with the label of a group, and members of the group
 
 
 class Staleness:
@@ -141,8 +142,8 @@ class Staleness:
 
 
 def _awaited(item: _Routed, data: mujoco.MjData) -> NDArray[np.intp]:
-    # Inputs set by a program need no packets. If a program sets some inputs of an item, sources
-    # that have never sent anything are ignored for the others.
+    # Returns which data ages decide whether an item is stale. Inputs that a program sets need no
+    # packets. If there are such inputs, the other ones count only if they have received data.
     is_programs = data.userdata[item.flags] == SET_BY_PROGRAM
     if not is_programs.any():
         return item.ages

@@ -49,7 +49,7 @@ class LiveHost(ABC):
 
     Attributes:
         joint: index of the selected joint in the world.
-        command: command-line arguments that open this scene; None for the argument of the scene.
+        command: command-line arguments with the scene and its options; None for only the scene.
         notice: last message to the user.
         folds: mapping from titles of collapsible panel sections to whether they are open.
         work: computing time of the last frame in seconds, without rendering.

@@ -28,7 +28,7 @@ from ..session.status_line import Message, Mood
 
 log = logging.getLogger(__name__)
 
-# An opener returns the chosen scene. If it raises a SeroError, the start page shows the message.
+# An opener opens a view or file. If it raises a SeroError, the start page shows the message.
 Opener = Callable[[RecentView | Path], Mirror]
 
 TITLE = "sero-mj"
@@ -145,7 +145,10 @@ class ExpectedPackets(NamedTuple):
 
     @property
     def command(self) -> str:
-        """Command that sends example packets. Empty if packets arrive or cannot be received."""
+        """Command that sends example packets to this address, for a test.
+
+        It is empty if the address already receives packets, or if it cannot receive any.
+        """
         if self.rates or self.trouble:
             return ""
         return f"sero-mj send {self.views[min(self.views)][0].scene}"

@@ -195,7 +195,7 @@ def _toggle_keys(keys: str) -> dict[str, KeyAction]:
 # Mapping from keys to their description and action.
 KEYS: dict[str, KeyAction] = {
     **_toggle_keys("abx"),
-    "n": ("names of all axes on or off", _toggle("frame_names")),  # a click toggles one name
+    "n": ("names of all axes on or off", _toggle("frame_names")),  # a click: only one name
     "q": ("next quantity for all arrows", _next_quantity),
     **_toggle_keys("dvcls"),
     "r": ("reset to the declared values", Toggles.reset),

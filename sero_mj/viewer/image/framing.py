@@ -41,7 +41,7 @@ def bounding_sphere(world: WorldView) -> tuple[Array, float]:
 
 
 def declared_data(world: WorldView) -> mujoco.MjData:
-    """Returns the declared state of a world. Objects are where routes attach them to robots."""
+    """Returns the declared state of a world, with objects at the robots that carry them."""
     data = world.make_data()
     if world.scene.routes:
         # Invalid routes are reported when they are connected.
@@ -74,9 +74,9 @@ def _tan_half_fovy(world: WorldView) -> float:
 class Framing:
     """Moves a camera back so that robots stay in the image if received data moves them out of it.
 
-    `fit` is called for each frame. It may move the camera only when a joint or base leaves its
-    declared position for the first time, so that the camera does not move with robots that are in
-    the image. It never moves a camera that the scene or the user has placed. `hold` is for poses
+    `fit` is called for each frame. It checks whether robots have left the image only when a joint
+    or base leaves its declared position for the first time, so that the camera does not follow
+    every motion. It never moves a camera that the scene or the user has placed. `hold` is for poses
     that are known before the first image. It does not move a camera that the user has placed.
     """
 
@@ -109,11 +109,11 @@ class Framing:
             return
         lows, highs = _boxes(self._world, data)
         half_fovy = np.deg2rad(self._world.model.vis.global_.fovy) / 2
-        radius = camera.distance * np.sin(half_fovy)  # radius of a sphere that fits, m
+        radius = camera.distance * np.sin(half_fovy)  # radius of the visible sphere, m
         farthest = np.abs((lows + highs) / 2 - camera.lookat) + (highs - lows) / 2
         if not (np.linalg.norm(farthest, axis=1) > radius).any():
             return
-        if not bases_moved.any():  # the declared poses matter only if all bases are in place
+        if not bases_moved.any():  # also show the declared poses, unless a base has moved
             declared = _boxes(self._world, self._declared)
             lows, highs = np.vstack((lows, declared[0])), np.vstack((highs, declared[1]))
         centre, radius = _sphere(lows, highs)
@@ -205,10 +205,11 @@ def _pose(camera: mujoco.MjvCamera) -> tuple[float, ...]:
 def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None = None) -> float:
     """Returns the minimum aspect ratio (width over height) for which a camera pose is suitable.
 
-    For narrower images, a free camera is moved back. The image must contain a sphere around the
-    declared scene without its floor. For this, the aspect ratio is at most 4/3, because a view may
-    show only a part of the scene. A view that a scene declares is designed for images of 1280x800.
-    The aspect ratio therefore also covers the robots that are visible in such an image.
+    In narrower images, a free camera is moved back. At the returned ratio, the image contains a
+    sphere around the declared scene without its floor. The sphere requires a ratio of at most 4/3,
+    because a view may show only a part of the scene. If `wanted` is None, the camera is the
+    declared view, which is designed for images of 1280x800. The image then also contains all robots
+    that are visible at this size.
     """
     data, tangent = declared_data(world), _tan_half_fovy(world)
     centre, radius = _sphere(*_boxes(world, data))
@@ -226,14 +227,14 @@ def needed_aspect(world: WorldView, camera: mujoco.MjvCamera, wanted: str | None
 
 
 def standing_back(width: float, height: float, needed: float) -> float:
-    """Returns the factor of the distance of a free camera, which is above 1 for narrow images."""
+    """Returns the factor, at least 1, by which the distance of a camera grows in narrow images."""
     return max(needed * height / max(width, 1.0), 1.0)
 
 
 def stand_back(
     scene: mujoco.MjvScene, camera: mujoco.MjvCamera, width: float, height: float, needed: float
 ) -> None:
-    """Moves the camera of a scene back if the image is too narrow (`standing_back`)."""
+    """Moves a free camera of a scene back if the image is narrower than the ratio `needed`."""
     back = (standing_back(width, height, needed) - 1.0) * camera.distance
     if back > 0.0 and camera.type == _FREE:
         for eye in scene.camera:

@@ -375,7 +375,11 @@ def _pick_drawn_double(
 
 
 def picked_drawn(world: WorldView, name: str, geom: int, distance: float = 0.0) -> Picked | None:
-    """Returns the link of a double that is not in the model, for one of its geoms, or None."""
+    """Returns the picked link of a double that is drawn with the geoms of its robot.
+
+    The model does not contain such a double. `geom` is the id of the robot's geom that was hit.
+    Returns None if the geom belongs to no link of the robot.
+    """
     double = world.doubles[name]
     link = _link_of(world, double.of, int(world.model.geom_bodyid[geom]))
     if link is None:

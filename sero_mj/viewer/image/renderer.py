@@ -35,7 +35,7 @@ class SceneRenderer(Protocol):
     scene: mujoco.MjvScene
 
     def follow(self, data: mujoco.MjData) -> None:
-        """Called before each frame with the state, which has the shapes of skins and flexes."""
+        """Called before each frame with its state, from which skins and flexes are drawn."""
 
     def render(self, out: Pixels | None = None) -> Pixels: ...
 
@@ -57,13 +57,13 @@ class Renderer(ABC):
 
     @abstractmethod
     def problem(self, width: int, height: int) -> str | None:
-        """Returns why images of a size cannot be rendered on this machine, or None."""
+        """Returns why this machine cannot render images of this size, or None if it can."""
 
     @abstractmethod
     def make(
         self, world: WorldView, width: int, height: int, quality: Quality, *, frames: int = 1
     ) -> tuple[SceneRenderer, AddedSurroundings | None]:
-        """Returns a renderer for a world, and the surroundings to add to its scene, or None."""
+        """Returns a renderer, and a floor and lights to add to each frame if the world has none."""
 
 
 @cache

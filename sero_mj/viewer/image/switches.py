@@ -18,7 +18,7 @@ SWITCH_NAMES = (
     "doubles", "legend", "status", "flange_checks", "contacts", "inertias", "joint_axes",
     "centres_of_mass", "part_names", "transparent", "wireframe",
 )  # fmt: skip
-# Name of the mask of joints whose torques are those of the model. It is accepted like a switch.
+# Field of `Toggles` with the joints whose torques come from the model. Commands can set it.
 MODELLED = "modelled"
 # Largest digits of the switches that have more than two values.
 _MAX_DIGIT = {"arrow_quantity": len(ARROW_QUANTITIES) - 1, "part_names": len(PART_NAMES) - 1}

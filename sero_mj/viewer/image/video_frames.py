@@ -20,12 +20,12 @@ from .image_files import Pixels
 from .image_options import VideoOptions
 from .sampling import known_poses, sampled_states
 
-_TURNS = 24  # number of steps of a turntable in which the robots must be in the image
+_TURNS = 24  # number of steps of an orbit, at all of which the robots must be in the image
 _FREE = int(mujoco.mjtCamera.mjCAMERA_FREE)
 SUBFRAMES = 8  # number of subframes of a frame with motion blur
 SHUTTER = 0.5  # exposure time, fraction of the time between two frames
-_MIN_SHIFT = 0.5  # minimum motion in pixels that needs a new image
-_LEVELS = 1 << 16  # number of levels of linear light, which distinguish the two darkest colors
+_MIN_SHIFT = 0.5  # a subframe is rendered if a point has moved by this distance, pixels
+_LEVELS = 1 << 16  # levels of linear light, enough to distinguish the two darkest colors
 # Source: IEC 61966-2-1 (sRGB).
 _CODES = np.arange(256) / 255
 _LINEAR = np.where(

@@ -42,7 +42,7 @@ class _Tree:
         self._scopes: list[str] = []
         self._ids: dict[str, int] = {}
         self._off: list[bool] = []
-        self._next: Node = {}  # keys of the next node
+        self._next: Node = {}  # placement and width of the next node
 
     def act(self, id_: str, value: Any) -> None:
         """Stores the action of a user on a widget, and ignores unknown ids."""

@@ -71,7 +71,7 @@ class RobotPanel:
         self.on_select: Callable[[int], None] = lambda joint: None
         joints, frames = world.joints, world.frames
         self._members, self._tops = tree_of_owners(world)
-        # Label, scaled array, kind of its rows, and declared values.
+        # For each slider: label, array that it scales, kind of the array's rows, declared values.
         self._scaled: list[tuple[str, Array, str, Array]] = [
             ("arrow radius", joints.arrow_radius, "joints", joints.arrow_radius.copy()),
             ("arrow width", joints.arrow_width_scale, "joints", joints.arrow_width_scale.copy()),

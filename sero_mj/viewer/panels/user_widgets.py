@@ -60,7 +60,7 @@ class UserWidget(Generic[Value]):
         raise NotImplementedError
 
     def calls(self, before: Value, now: Value) -> Sequence[tuple[Value, ...]]:
-        """Returns the arguments of all callback calls that a change of the value causes."""
+        """Returns the arguments of each callback call, such as one call per press of a button."""
         return [(now,)]
 
 

@@ -40,8 +40,8 @@ DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # duration of a captured run if the sources have no end
 MAX_BYTES = 128_000_000  # maximum size of a run in the browser's memory
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # geoms of a round arrow at a frame; the player draws the arrows of joints
-_SIZE = (1280, 800)  # pixels; some decor depends on the size of the image
+_ARROW_GEOMS = 24  # maximum for a round smart arrow; the player itself draws the arrows of joints
+_SIZE = (1280, 800)  # assumed size of the image in pixels, on which some features depend
 
 
 @dataclass(frozen=True)
@@ -98,9 +98,9 @@ class CapturedRun:
         arrow_texts: mapping from the indices of smart arrows to a list with one text per frame.
         silent: names of the sources without data.
         meanings: mapping from labels on billboards to meanings, such as `A` to a file name.
-        needed: aspect ratio (width over height) that the camera needs; None for that of the
-            declared pose.
-        path: displacement of the free camera, shape (F, 3), m; None if it follows no frame.
+        needed: minimum aspect ratio (width over height) of images from the camera, see
+            `needed_aspect`; None to compute it from the declared pose.
+        path: displacement of a camera that follows a frame, shape (F, 3), m; otherwise None.
     """
 
     world: WorldView
@@ -198,7 +198,7 @@ class FrameCapturer:
         toggles: Toggles | None = None,
         needed: float | None = None,
     ) -> CapturedRun:
-        """Joins captured frames to a run. If `toggles` is None, it has the declared switches."""
+        """Joins captured frames to a run with `toggles`, by default the declared switches."""
         world = self._world
         poses = np.array([each.poses for each in frames])
         opacity = np.array([each.opacity for each in frames])
@@ -302,7 +302,7 @@ def capture_pose(
     camera: mujoco.MjvCamera,
     needed: float | None = None,
 ) -> CapturedRun:
-    """Captures one pose without overlays and values, which a server sends with each frame."""
+    """Captures the first pose for a live page, which gets values and overlays with each frame."""
     capturer = FrameCapturer(world, camera)
     return capturer.result([capturer.pose(data)], fps=DEFAULT_FPS, needed=needed)
 

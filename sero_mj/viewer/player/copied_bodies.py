@@ -14,12 +14,12 @@ from .model import visible_geoms
 
 
 class CopiedBody(NamedTuple):
-    """A body of a double that has the geoms of a body of the robot.
+    """A body of a double that is drawn with the geoms of the same body of its robot.
 
     Attributes:
         name: name of the body, such as `goal/lower`.
         double: index of the double.
-        row: row of the path that the double shows; 0 for a double with one pose.
+        row: index of the pose in the path of the double; 0 for a double with one pose.
         body: id of the body of the robot.
         rgba: color of the geoms, shape (4,).
     """
@@ -57,7 +57,7 @@ class CopiedBodies:
         """Returns the poses of all bodies in a frame.
 
         Args:
-            drawn: doubles of the frame, with the rows of a path in ascending order.
+            drawn: doubles of the frame. Those of one path must be in the order of its poses.
 
         Returns:
             positions, shape (G, 3), m; unit quaternions, shape (G, 4); and opacity factors, shape

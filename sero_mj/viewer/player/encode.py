@@ -286,7 +286,10 @@ def _type(item: Any) -> int:
 
 
 def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
-    """Returns the legend of each frame. The line about the quantity of arrows is None."""
+    """Returns the legend of each frame, with None for the line that names the arrows' quantity.
+
+    The player writes this line, because its user can choose the quantity.
+    """
     own = {quantity["line"] for quantity in _quantities(capture)[:1]}
     found = _texts(capture.legend, parts)
     texts = [text.split("\n") if text else [] for text in found["texts"]]

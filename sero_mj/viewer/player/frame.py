@@ -71,7 +71,7 @@ class FrameTaker:
     Attributes:
         corners: texts in the corners of the image, each as a flag and a list of lines. The flag is
             whether the text belongs to the legend.
-        beside: text panels at a pixel, without names.
+        beside: text panels that are placed at a pixel, except names of frames and parts.
     """
 
     def __init__(self, world: WorldView, own_arrows: Bools) -> None:
@@ -185,7 +185,7 @@ def shown_bodies(world: WorldView) -> Ints:
 
 
 def labels_of(world: WorldView, frame: Frame) -> Labels:
-    """Returns text and position of each label of a frame, by kind and index of the item."""
+    """Returns the labels of a frame: maps kind and index of an item to its text and position."""
     frames, buffer = world.frames, frame.buffer
     found: Labels = {}
     titles = frame_titles(tuple(frames.names))

@@ -237,7 +237,7 @@ class Look:
         return found
 
     def copied(self, geom: int, body: int, rgba: Array) -> dict[str, Any]:
-        """Returns a copy of a geom that has one color and is attached to a body of the page."""
+        """Encodes a geom again, in one color, for a double's body with this index in the page."""
         found = self._geom(geom)
         found.pop("material", None)
         return found | {"body": body, "rgba": np.round(rgba * 255).astype(int).tolist()}

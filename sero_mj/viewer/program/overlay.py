@@ -98,7 +98,7 @@ class Overlay:
         return RobotInputs(self, name)
 
     def clear(self, target: str) -> None:
-        """Clears an input. The model then computes cleared torques and accelerations again."""
+        """Clears an input. Torques and joint accelerations are then taken from `data` again."""
         self.world.clear_input(target)
 
     def frame(self, name: str) -> Array:

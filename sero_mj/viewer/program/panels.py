@@ -201,7 +201,7 @@ class UserPanels:
         return handle
 
     def change(self, handle: WidgetHandle[Value], value: Value) -> None:
-        """Changes the value of a widget. A removed widget stays hidden."""
+        """Changes the value of a widget. This does not show a removed widget again."""
         with self._lock:
             handle.state = handle.state._replace(value=value, number=next(self._numbers))
             if self._handles.get(handle.place) is handle:

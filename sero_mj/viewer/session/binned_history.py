@@ -59,7 +59,7 @@ class BinnedHistory:
             self._high[rows] = np.fmax(self._high[rows], np.fmax.reduceat(values, begins, axis=0))
 
     def forget(self, since: Array) -> None:
-        """Deletes later samples. `since` has a time in seconds for each element of a sample."""
+        """Deletes samples after `since`, which has a time in s for each element of a sample."""
         with np.errstate(invalid="ignore"):
             past = self._times.reshape(-1, *(1,) * np.ndim(since)) > since
         for extremes in (self._low, self._high):

@@ -36,7 +36,7 @@ def unused_name(folder: Path, scene: str, ending: str, now: datetime) -> Path:
 
 
 def due_frames(seconds: float, sent: int) -> int:
-    """Returns how often to add the current image so that the video plays in real time."""
+    """Returns the number of frames that a video of `seconds` needs in addition to `sent` frames."""
     return max(int(seconds * FPS) + 1 - sent, 0)
 
 

@@ -64,9 +64,9 @@ class Clock:
         end: end of the timeline in seconds. For live sources and simulations without an end, this
             is the newest time. None if a recording has no known end.
         step_size: size of a single step in seconds.
-        on_state: function that is called for each new state of the mirror. While a function is
-            set, recordings and simulations advance in fine steps even at a low frame rate, so that
-            plots miss little. A new function is first called for past times, as after a jump.
+        on_state: function that is called for each new state of the mirror, for example to plot it.
+            While it is set, recordings and simulations advance in fine steps even at a low frame
+            rate. At first and after a jump in time, it is called for earlier times to fill plots.
         real_speed: actual ratio of displayed time to real time in the last frames. A simulation
             may be slower than `speed`.
     """
@@ -186,7 +186,7 @@ class Clock:
         return "live"
 
     def replay_past(self) -> None:
-        """Calls `on_state` for past times at the next frame, as after a jump."""
+        """Fills plots at the next frame: calls `on_state` for earlier times, as after a jump."""
         self._is_reported = False
 
     def _show(self) -> bool:

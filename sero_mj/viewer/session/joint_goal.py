@@ -25,10 +25,11 @@ _NO_NUMBER = "expected a finite number; the robot does not move"
 
 
 class JointGoal:
-    """Joint angles that a user requests for a robot, a flange pose, or a point of a link.
+    """The joint angles that a user requests for a robot.
 
-    Angles stay within the position limits. If a requested pose cannot be reached, the nearest one
-    is used, and `trouble` explains why.
+    The user sets the angles, the pose of the flange, or the position of a point of a link. Angles
+    stay within the position limits. If a pose cannot be reached, the nearest one is used, and
+    `trouble` explains why.
 
     Attributes:
         trouble: reason why the requested pose is not reached, or an empty string.
@@ -164,7 +165,7 @@ class JointGoal:
 
 
 def set_goals(goals: Mapping[str, JointGoal], angles: Iterable[tuple[str, bytes]]) -> None:
-    """Sets the joint angles of goals from pairs of a robot name and bytes of float64."""
+    """Sets goals by robot name. `angles` has pairs of a name and angles as bytes of float64."""
     for name, wanted in angles:
         if name in goals and goals[name].angles.tobytes() != wanted:
             goals[name].set_all(np.frombuffer(wanted))

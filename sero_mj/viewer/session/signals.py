@@ -76,7 +76,8 @@ class PlotSignals:
         Histories of torques and of a program's signals are always stored.
 
         Returns:
-            whether there are new signals. If so, `watch` should be called for past times.
+            whether a history was added. To fill it, call `watch` for earlier times, see
+            `Clock.replay_past`.
         """
         known = {*wanted} & {*self._joints, *self._numbers}
         new = {each for each in known - {*self._followed} if not self._has_torque(each)}

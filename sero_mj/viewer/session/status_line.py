@@ -32,12 +32,12 @@ class Message(NamedTuple):
 
 
 _MIN_OFFSET = 0.1  # s; smaller clock offsets may be network delays
-_MIN_LOSS = 0.0005  # fraction of lost packets below which their number is shown instead
+_MIN_LOSS = 0.0005  # minimum fraction of lost packets that is shown in percent
 _SLOW = 0.85  # fraction of the selected speed below which the actual speed is shown
 
 
 def source_text(found: dict[str, Any], *, is_live: bool) -> Piece:
-    """Returns the status text for the `report` of a source, and the mood of the text."""
+    """Returns the status text for the `report` of a source, and the mood (color) of the text."""
     name = found["source"]
     if not is_live:
         return str(found["about"]), "plain"
@@ -66,7 +66,7 @@ def _loss(found: dict[str, Any]) -> str:
 
 
 def clock_text(clock: Clock) -> Piece:
-    """Returns the displayed time, speed and state of a clock as text, and the mood of the text."""
+    """Returns the time, speed and state of a clock as text, and the mood (color) of the text."""
     if clock.is_live:
         ago = (clock.end or 0.0) - clock.time
         when = f"{time_text(ago)} ago" if clock.is_past else ""

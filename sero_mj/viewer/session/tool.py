@@ -278,7 +278,7 @@ class Tool(PointerEvents, ToolState):
         """Called with the image of a frame, shape (height, width, 3), and its time in seconds."""
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
-        """Returns name, goal and T_world_base, shape (4, 4), of the robot that a gamepad moves."""
+        """Returns the robot that a gamepad can move: name, goal and T_world_base, shape (4, 4)."""
         return None
 
     def close(self) -> None:
@@ -362,7 +362,7 @@ class Tools(Mapping[str, Tool]):
         return any(self.call_all(lambda tool: tool.takes_images))
 
     def distribute_image(self, draw: Callable[[], Pixels]) -> None:
-        """Passes the current image to the tools that need it. `draw` renders it if there is one."""
+        """Renders the current image if any tool needs it, and passes it to these tools."""
         now = time.monotonic()
         wanting = self.call_all(lambda tool: tool if tool.wants_image(now) else None)
         if any(wanting):

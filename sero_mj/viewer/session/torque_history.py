@@ -71,7 +71,7 @@ class TorqueHistory:
             data: state of the world at the current time, before the last packet is applied.
             source: name of the packets' source.
             packets: packets to add.
-            now: current time on the clock of the arrival times in seconds.
+            now: current time in seconds, from the same clock as `packets.arrivals`.
         """
         routes = self._routes.get(source)
         if routes is None:

@@ -14,7 +14,7 @@ from ...base.frames import Array
 from .status_line import Mood
 
 Rgb = tuple[float, float, float]
-# A tick of a slider has a value, a mood, and a text that is shown while the slider is near it.
+# Marks of a slider: value, mood (color), and text that is shown while the slider is near it.
 Ticks = Sequence[tuple[float, Mood, str]]
 
 

@@ -71,7 +71,7 @@ class Plots(Tool):
 
     def receive(self, message: Mapping[str, Array]) -> None:
         if not self.shown.clock.is_live and self.shown.clock.is_paused:
-            return  # The samples would have no displayed time.
+            return  # There is no displayed time for new samples.
         new = self.signals.add_program(message)
         if new:
             self.area, self.shows_area = _AREA, True

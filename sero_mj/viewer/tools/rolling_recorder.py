@@ -32,7 +32,7 @@ class RollingRecorder(Tool):
         finishes_videos: whether `close` waits for unfinished pages and videos.
     """
 
-    order: ClassVar[int] = 25  # The tool that saves pulls must come later.
+    order: ClassVar[int] = 25  # `Pulling` has the same action `keep` and must come later.
     keys: ClassVar[Mapping[str, tuple[str, str]]] = {
         "k": ("keep", "save the last minute of live data, or the pushes of a simulation")
     }

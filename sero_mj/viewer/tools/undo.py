@@ -23,7 +23,7 @@ class Undo(Generic[State]):
         self._read, self._write = read, write
         self._past: list[State] = []
         self._future: list[State] = []
-        self._base = self._last = read()  # state of the last step, and of the last frame
+        self._base = self._last = read()  # state after the last step, and in the last frame
         self._changed = float("-inf")
 
     @property

@@ -201,4 +201,4 @@ class _Browser:
         self.wake.set()
         self.pending = 0  # number of messages that the browser has not acknowledged
         self.events: collections.deque[str] = collections.deque(maxlen=100)
-        self.second, self.messages = 0.0, 0  # start of a second, and number of messages in it
+        self.second, self.messages = 0.0, 0  # start of the current second; messages in it

@@ -15,7 +15,7 @@ from ..session.status_line import status_pieces
 from ..session.tool import Tool, tool_keys
 from .sections import Sections
 
-REQUEST = "request"  # name of the tree with the dialog about the programs of a file
+REQUEST = "request"  # tree of the dialog that asks whether a file may run programs
 _EM = 14.0  # text height in `page.css`, pixels
 _INTERVAL = 1.0 / 15.0  # time between two updates of panels, s
 _NARROW = 800  # page width below which the panel is initially hidden, pixels

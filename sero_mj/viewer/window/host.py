@@ -109,7 +109,7 @@ class Window(LiveHost):
     def is_due(self) -> bool:
         """Whether it is time for the next frame.
 
-        If rendering is slow, half of the time remains for the caller.
+        The pause after a slow frame is as long as the frame took, to leave time for the caller.
         """
         took = self._end - self._last
         if not self.is_open:
