@@ -299,6 +299,6 @@ def _end(unit: Any, folder: str) -> None:
     try:
         unit.terminate()
         unit.freeInstance()
-    except Exception:  # the FMU has failed before
+    except Exception:  # An FMU that has failed may raise again.
         pass
     remove_leftover(Path(folder))

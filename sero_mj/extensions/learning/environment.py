@@ -97,7 +97,7 @@ def _default_stiffness(robot: SerialRobot) -> Array:
 
 
 class _EpisodeRun:
-    """The current episode as a run for `RunSource`. Only the agent advances it."""
+    """Lets `RunSource` display the current episode. `advance` does nothing: the agent steps it."""
 
     drag_force = live = None
 
@@ -278,7 +278,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
         return start
 
     def _restart(self, start: Array, seed: int) -> None:
-        if self.scenario.disturbances or self.scenario.faults:  # they change the model
+        if self.scenario.disturbances or self.scenario.faults:  # these have changed the model
             self.simulation = Simulation(self.scenario, seed, self._compiler)
             self._robot.simulation = self.simulation
         if self._random_start or not (self.scenario.disturbances or self.scenario.faults):
@@ -286,7 +286,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             angles[self._robot.name] = start
             self.simulation.restart(np.concatenate(list(angles.values())), seed)
         if self._mirror is not None:
-            self._mirror.open()  # discards the displayed state
+            self._mirror.open()  # resets the displayed state
 
     def step(self, action: Any) -> dm_env.TimeStep:
         """Simulates a control step, or begins the next episode if the current one has ended.
@@ -305,7 +305,7 @@ class Environment(dm_env.Environment):  # type: ignore[misc]
             simulation.advance(simulation.step + self.substeps)
         except SimulationError as error:
             self.error, self._is_over = error, True
-            # The arrays are copied, because they were already returned once.
+            # These arrays belong to the caller of the previous step, so copies are returned.
             before = {name: value.copy() for name, value in self._observation.items()}
             return dm_env.TimeStep(dm_env.StepType.LAST, 0.0, 0.0, before)
         self.plant.rows.physics.forward()  # updates `data` as `mj_step` does

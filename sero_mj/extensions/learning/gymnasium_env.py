@@ -161,7 +161,7 @@ def name_and_options(name: str | None, options: dict[str, Any]) -> tuple[str, di
     options = dict(options)
     if "task" in options:
         task, robot = options.pop("task"), options.pop("robot", None)
-        if isinstance(robot, Mapping):  # with fields that override the robot file
+        if isinstance(robot, Mapping):  # `model` and fields that override its file
             fields = dict(robot)
             robot = fields.pop("model", None)
             options["robot"] = fields

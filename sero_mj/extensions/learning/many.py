@@ -218,7 +218,7 @@ class Lane:
         self._pushes: Array = physics.bind("xfrc_applied")
 
     def place(self, k: int) -> None:
-        """Moves robot k of the lane to the state of the robot in the environment."""
+        """Moves robot k of the lane to the start at which `Environment.place` has put its robot."""
         seed, angles = self._environment.plant.sensors.seed, self._environment.plant.actual[0]
         plant = self.plant.row(k)
         plant.sensors.seed = seed

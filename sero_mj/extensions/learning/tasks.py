@@ -131,11 +131,11 @@ class ManyStates:
 class ManyEpisodes(ABC):
     """A task of m robots, in successive episodes."""
 
-    pushes: ClassVar[bool] = False  # whether `forces` can be other than 0
+    pushes: ClassVar[bool] = False  # whether `forces` may return nonzero forces
 
     @abstractmethod
     def begin(self, k: int) -> None:
-        """Begins an episode of robot k, by copying the episode that `Episode` has just begun."""
+        """Begins an episode of robot k as a copy of the one that `Episode.begin` has begun."""
 
     def forces(self, times: Array) -> Array:
         """Returns forces at the flanges in the next control step, shape (m, 3), world axes, N."""
@@ -158,7 +158,7 @@ class Episode:
         return None
 
     def begin(self, rng: np.random.Generator) -> None:
-        """Begins an episode; the robot is already at its start."""
+        """Begins an episode. The robot is already in its start pose."""
 
     def advance(self) -> None:
         """Begins a control step."""
@@ -488,7 +488,7 @@ class ExpectationsEpisode(Episode):
         ]
         if not active:
             return 1.0
-        log = RunLog.from_rows(  # drift is relative to the first row
+        log = RunLog.from_rows(  # drift needs the first row
             simulation.layout, simulation.rows[[0, simulation.step]], simulation.robots
         )
         return float(np.mean([each.share(log) for each in active]))

@@ -89,7 +89,7 @@ def _as_toml(name: str, output: Path) -> str:
 def _relative(folder: Path, output: Path) -> str:
     try:
         return Path(os.path.relpath(folder.absolute(), output.absolute().parent)).as_posix()
-    except ValueError:  # The folder is on another drive.
+    except ValueError:  # no relative path to another drive
         return folder.absolute().as_posix()
 
 
@@ -159,7 +159,7 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
         table["filenames"] = [*texts]
         table["directory"] = _relative(folder, output)
     else:
-        table["filenames"] = []  # The meshes have other frames, and the writer reports them.
+        table["filenames"] = []  # Mesh frames differ from X3D, which the writer reports.
     return table
 
 

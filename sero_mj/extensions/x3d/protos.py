@@ -37,7 +37,7 @@ UDP_FIELDS = {
     "scale": ("SFFloat", "scale"),
     "debuglevel": ("SFInt32", "debug_level"),
 }
-# The paper lists no fields of `ShmReader`. In sero-mj, it has fields of `UdpReceiver` and others.
+# The paper lists no fields of `ShmReader`. Here, it has most fields of `UdpReceiver`, and more.
 SHM_FIELDS = {
     **{name: each for name, each in UDP_FIELDS.items() if name not in ("udpport", "bufferSize")},
     "block": ("SFString", "block"),

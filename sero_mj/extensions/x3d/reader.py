@@ -208,7 +208,7 @@ class _X3dReader:
         found = self._fields(node, fields, place, ("name", "children", "metadata"), events)
         table["dh_convention"] = found.pop("dh_convention", PAPER_CONVENTION)
         rows = len(found.get("dh_params", [[]]))
-        for key in ("joint_angles", "offsets_to_center_of_joints"):  # The proto has such defaults.
+        for key in ("joint_angles", "offsets_to_center_of_joints"):  # proto default: one zero
             if key in found and rows != 1 and len(found[key]) == 1 and not np.any(found[key]):
                 del found[key]
         for key, field in (("base_frame", "baseFrame"), ("flange_frame", "flangeFrame")):

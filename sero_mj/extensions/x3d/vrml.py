@@ -40,7 +40,7 @@ _HEADER = re.compile(r"#(?:X3D V\d+\.\d+|VRML V2\.0)\b")
 _OLDER = ("#VRML V1", "#Inventor")
 # Inlined files often have no header.
 _HEADLESS = re.compile(r"(?:#[^\n]*\n\s*)*(?:(?:DEF\s+\S+\s+)?[A-Z]\w*\s*\{|(?:EXTERN)?PROTO\s)")
-# Papers and editors mark continued lines with these characters.
+# In text copied from papers or editors, these characters at the end of a line mark a wrapped line.
 _CONTINUED = "←↩↵↲⏎⤶¬\\\\"
 _TOKEN = re.compile(
     rf"(?P<space>(?:[\s,\ufeff]|\#[^\r\n]*|[{_CONTINUED}](?=[^\S\n]*(?:\r?\n|\Z)))++)"
@@ -329,7 +329,7 @@ class _VrmlParser:
     def _interface(self, *, has_values: bool = True) -> dict[str, Field]:
         fields: dict[str, Field] = {}
         if self._token.numbers is not None and not self._token.numbers.size:
-            self._next()  # The list of fields is empty.
+            self._next()  # [ ] without fields
             return fields
         if not self._takes("["):
             self._unexpected("[ and the fields of the PROTO")

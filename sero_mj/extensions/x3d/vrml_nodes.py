@@ -148,7 +148,7 @@ class Problems:
 
 
 def instance(node: Node) -> Node | None:
-    """Returns the node that replaces an instance of a PROTO, or None without a PROTO body."""
+    """Expands a PROTO instance to the first node of the PROTO body, or to None without a body."""
     if node.proto is None or not node.proto.body:
         return None
     made: dict[int, Node] = {}

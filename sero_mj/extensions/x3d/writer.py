@@ -128,7 +128,7 @@ class _Writer:
         last = frame(rotation_about(0, rows[-1, 0]), np.array([rows[-1, 1], 0.0, 0.0]))
         robot["flange_frame"] = (last @ np.array(robot.get("flange_frame", _IDENTITY))).tolist()
         offsets = robot.get("offsets_to_center_of_joints")
-        if offsets is not None:  # Offsets change from the frame before the joint to that after it.
+        if offsets is not None:  # from frames i - 1 to frames i
             turned = [
                 rotation_about(2, -row[2]) @ offset - [0.0, 0.0, row[3]]
                 for row, offset in zip(rows, np.array(offsets, np.float64), strict=True)

@@ -19,8 +19,8 @@ _OF_SKIN = 0.12  # fraction of the robot's extent, as a skin may be thicker than
 _STEP = 1.12  # ratio of successive radii in the search
 _HEIGHT = 0.3  # height of an arrow, relative to its radius
 _MAX_HIDDEN = 0.47  # maximum hidden fraction of an arrow, as links extend on one or two sides
-# Required reduction of the hidden fraction if an arrow is larger by a factor of e, and if it is
-# also larger than a fraction of the link length.
+# An arrow is enlarged by a factor of e only if this reduces its hidden fraction by the first value.
+# Beyond `_LARGEST` times the link length, the reduction must be the sum of the first two values.
 _PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
 _NEIGHBOURS = 5  # number of nearest joints with arrows of similar size
 _MAX_GROWTH = 1.4  # maximum factor by which an arrow is enlarged to resemble its neighbors

@@ -31,7 +31,7 @@ def friction_of(robot: SerialRobot, velocities: Array) -> Array:
 
     Viscous friction is proportional to the velocity. Coulomb friction is constant, except below
     0.01 rad/s or m/s, where it is also proportional to the velocity, so that noise does not cause
-    jumps. At rest, the true value may be anywhere between the two limits.
+    jumps. At rest, the true torque is unknown: it can have any value up to the Coulomb friction.
     """
     viscous, coulomb = robot.dynamics.viscous_friction, robot.dynamics.coulomb_friction
     torques: Array = np.zeros_like(velocities, float)
@@ -46,7 +46,8 @@ def joint_velocities(world: WorldView, data: Any) -> Array:
     """Returns the velocities of all joints of a world, shape (N,), rad/s or m/s.
 
     If a robot has an input `joint_velocities` with received values, these are returned. Otherwise,
-    velocities are those of the state, which a mirror derives from angles. Doubles have NaN.
+    the velocities are `qvel`, which `data.drive` estimates from received angles if the world is not
+    simulated. The joints of doubles have NaN.
     """
     state, joints = world.state(data), world.joints
     found = np.full(len(joints.names), np.nan)

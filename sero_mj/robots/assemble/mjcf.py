@@ -465,7 +465,7 @@ def _mass_shares(path: Path, scale: Any) -> Array:
 
 
 def body_names(double: Double, robot: SerialRobot) -> list[list[str]]:
-    """Returns the body names of a double, from base to last link. A path has several rows."""
+    """Returns the body names of a double, one row from base to last link for each drawn pose."""
     rows = 1 if double.path is None else double.path_length
     return [
         [f"double-{double.name}-{row}-link{i}" for i in range(robot.n + 1)] for row in range(rows)
@@ -495,7 +495,7 @@ def _add_double(
             body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i]))
             for geom in geoms[i]:
                 body.add_geom(contype=0, conaffinity=0, mass=0, **{**geom, **look})
-    # Frames need separate bodies, because a link that coincides with the robot is moved away.
+    # Frames need separate bodies, as links that coincide with the robot are moved out of sight.
     for i, name in enumerate(frame_names(double, robot)):
         body = root.worldbody.add_body(name=name, mocap=True, **pose(at_zero[i + 1]))
         body.add_site(name=name, group=SITE_GROUP)

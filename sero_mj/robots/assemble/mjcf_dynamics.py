@@ -27,7 +27,7 @@ from .robot_dynamics import LinkInertia, RobotDynamics
 TIMESTEP = 1e-3  # control cycle of an LWR, s
 HULL_GROUP = 4  # hidden geom group of collision geoms
 ON = "on_"  # prefix of the names of bodies with fixed children
-PAYLOAD = "payload"  # name of a body at the flange that is massless until it is a payload
+PAYLOAD = "payload"  # body at the flange, massless until a payload is set
 # Distance in housing radii below which links are adjacent. Links of the same wrist or shoulder
 # share a housing and always overlap.
 _ONE_HOUSING = 4.0
@@ -124,9 +124,9 @@ def _fill_inertia(body: Any, dynamics: RobotDynamics | LinkInertia, i: int) -> N
 def weighed_model(
     model: mujoco.MjModel, robots: Mapping[str, RobotPart], dynamics: Mapping[str, RobotDynamics]
 ) -> mujoco.MjModel:
-    """Returns a copy of a model for display in which only robots have masses.
+    """Returns a copy of a display model with the masses of the robots, and zero mass elsewhere.
 
-    In the original model, MuJoCo computes masses from the volumes of all geoms.
+    In the display model itself, MuJoCo computes masses from the volumes of all geoms.
     """
     weighed = copy.copy(model)
     weighed.body_mass[:], weighed.body_inertia[:] = 0.0, 0.0
@@ -231,7 +231,7 @@ def _links_near_base(robot: SerialRobot) -> Bools:
 
 
 def exclude_neighbours(root: mujoco.MjSpec, robot: SerialRobot) -> None:
-    """Excludes collisions between adjacent links of a robot that is part of the scene."""
+    """Excludes collisions between adjacent links of a robot that is already attached to `root`."""
     bodies = [_bodies_of(root, robot, i) for i in range(robot.n + 1)]
     for i, k in [] if robot.mjcf is None else excluded_links(robot):
         root.add_exclude(bodyname1=bodies[i][0], bodyname2=bodies[k][0])
@@ -255,13 +255,15 @@ def exclude_mounted(
 ) -> None:
     """Excludes collisions between adjacent links of robots that are mounted on each other.
 
-    As within a robot, adjacent links have up to two joints between them. They belong to a robot and
-    its carrier, or to two robots on the same link, such as fingers on a palm.
+    As within a robot, links with at most two joints between them are adjacent. This applies to a
+    robot and its carrier, and to two robots on the same link, such as fingers on a palm.
 
     Args:
-        together: names of robots that stand close together, as if mounted on the same link.
+        together: for each group model, the names of its unmounted robots, which are close together
+            and treated as if they were mounted on the same link.
     """
-    # Robots near each carrying link, each with its adjacent links and their distances in joints.
+    # For each carrying link: the carrier and the robots on it. Each of these robots has pairs of a
+    # nearby link and the number of joints between this link and the carrying link.
     ways: dict[tuple[str, int], list[tuple[str, list[tuple[int, int]]]]] = {}
     for name, robot in robots.items():
         if robot.mount is None:

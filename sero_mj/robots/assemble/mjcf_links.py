@@ -51,7 +51,8 @@ def drawn_links(
 ) -> list[list[dict[str, Any]]]:
     """Returns the attributes of the visible geoms of the base and of each link, in link frames.
 
-    Names begin with `scope`. Sizes are multiplied by `shrink`, about the origin of each link.
+    Meshes and materials are added to `root` with names that begin with `scope`. Sizes are
+    multiplied by `shrink`, about the origin of each link.
     """
     tree = mjcf_tree(robot)
     model, geoms = tree.model, tree.geoms

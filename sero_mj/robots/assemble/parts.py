@@ -126,7 +126,7 @@ class RobotPart:
 
 @dataclass(frozen=True, eq=False)
 class DoublePart:
-    """The indices of one double in a compiled model. A path is drawn by several rows of bodies.
+    """The indices of one double in a compiled model: one row of bodies, or several for a path.
 
     Attributes:
         mocap: indices in `mocap_pos` of the base and the links, shape (rows, n + 1).
@@ -135,8 +135,8 @@ class DoublePart:
             links. Empty for a path.
         path: joint angles of the rows of a path, shape (rows, n), rad or m; None for a single pose.
         joints: rows of the double in the `JointTable` of the world. Empty for a path.
-        below: name of the double on which this double is mounted while that double has a pose, or
-            None. Both belong to the double of a group.
+        below: name of the double on which this double is mounted, or None. Both belong to the
+            double of a group. While the other one has no pose, the base is that of the robot.
     """
 
     double: Double
@@ -150,7 +150,7 @@ class DoublePart:
 
     @property
     def is_compiled(self) -> bool:
-        """Whether the model contains the bodies of the double. If not, decor draws the double."""
+        """Whether the double has bodies in the model. Otherwise, it is drawn as a `DrawnDouble`."""
         return self.bodies.size > 0
 
     @property
@@ -204,7 +204,8 @@ Owner = RobotPart | DoublePart
 def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> Ints:
     """Returns the index of the robot to which each body belongs, shape (nbody,), or -1.
 
-    Objects that are fixed to a robot belong to it. Robots that are mounted on it do not.
+    The bodies of objects that are fixed to a robot have the index of this robot. The bodies of a
+    mounted robot have its own index, not that of its carrier.
     """
     owner = np.full(model.nbody, -1, np.intp)
     for number, part in reversed(list(enumerate(robots.values()))):
@@ -217,7 +218,7 @@ def robots_of_bodies(model: mujoco.MjModel, robots: Mapping[str, RobotPart]) -> 
 
 @dataclass(frozen=True, eq=False)
 class DrawnDouble:
-    """A double that is not compiled into the model, but drawn from another state of the model.
+    """A double that is drawn with the geoms of its robot, but in another state of the model.
 
     Attributes:
         double: name of the double.
@@ -246,15 +247,16 @@ class JointTable:
             joint axis.
         qpos: indices in `qpos` of the joints of robots, shape (of_robot,).
         angle_slots: indices in `userdata` of the joint angles of doubles, shape (N - of_robot,).
-        slots: index in `userdata` of the value of each per-joint input, by input; -1 if the owner
-            does not have the input.
-        has: index in `userdata` of the flag of each of these inputs and of `joint_angles`, or -1.
+        slots: for each per-joint input, such as `torques`: indices in `userdata` of the values of
+            the joints; -1 for joints whose owner does not have the input.
+        has: for each of these inputs and `joint_angles`: indices in `userdata` of the flags that
+            values are available, or -1.
         torque_limit: torque limit, Nm or N, infinite for no limit. If `is_largest` is true, this is
             the largest torque so far.
         is_largest: whether `note_largest` updates `torque_limit`.
         torque_units: display units of torques, with the same prefix for all joints of an owner.
-        scaled_with: row of the joint that shares its largest torque. For a joint of a double, this
-            is the joint of the robot.
+        scaled_with: row of the joint whose largest torque scales this arrow: the joint itself, or
+            for a joint of a double, the same joint of the robot.
         arrow_quantity: index in `ARROW_QUANTITIES` of the initial quantity of the arrow.
         arrow_load: torque at which the arrow of a joint without a limit has full width, Nm or N,
             infinite if `arrow_width_scale` determines the width.

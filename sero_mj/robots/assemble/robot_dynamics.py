@@ -36,7 +36,7 @@ _FIRST_MODE = 10.0  # eigenfrequency of the motor if the link is fixed, Hz
 _DAMPING_RATIO = 0.03  # damping ratio of this mode
 _LARGE = 1.1  # ratio of radius of gyration to geometry size above which an inertia is reported
 _STEEL = 7800.0  # maximum density of a link, kg/m3
-# Relative thickness below which a mesh has no hull, and half the thickness (m) of its replacement.
+# Relative thickness below which a mesh is extended to both sides, and this extension (m).
 _FLATNESS, _THICKNESS = 1e-5, 0.5e-3
 _MIN_MASS = 1e-6  # minimum mass of a body, which MuJoCo requires, kg
 # MuJoCo rejects massless links. They get this fraction of the mass of the robot and this radius of
@@ -46,9 +46,9 @@ _BARE_SHARE, _BARE_RADIUS, _LEAST = 1e-9, 0.01, 2e-15
 _LARGE_REACH, _LARGE_MASS = 4.0, 1500.0  # m, kg
 # Suspicious ratio of the torque that holds the stretched arm to the torque limit (usual 0.2 to 1.3)
 _LARGE_SHARE = 10.0
-# Strokes beyond the first value (m) are reported if they exceed the reach without strokes by a
-# factor of more than the third value (arms on rails have up to 6), or the second value (m).
-_LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0
+# Strokes are reported above `_LONGEST_STROKE`. Above `_LONG_STROKE`, they are also reported if they
+# are more than `_STROKES` times the reach without strokes. Arms on rails have up to 6 times.
+_LONG_STROKE, _LONGEST_STROKE, _STROKES = 1.0, 20.0, 10.0  # m, m, ratio
 
 
 class LinkInertia(NamedTuple):
@@ -133,7 +133,7 @@ def robot_dynamics(robot: SerialRobot) -> RobotDynamics:
 
 
 def about_masses(robot: SerialRobot, dynamics: RobotDynamics) -> str:
-    """Returns a text about the mass of a robot and its links without a mass."""
+    """Returns a text with the total mass, whether it is estimated, and links without a mass."""
     text = f"{dynamics.masses.sum():.4g} kg"
     declared = robot.dynamics.masses
     if declared is None or "masses" in dynamics.estimated:
@@ -168,7 +168,7 @@ def about_large_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> list[st
 
 
 def about_units(robot: SerialRobot, dynamics: RobotDynamics) -> list[str]:
-    """Returns a question for each mass or length that is probably in g or mm."""
+    """Returns questions such as "are lengths in mm?" for suspicious lengths, masses and limits."""
     notes = []
     names, types = robot.names, robot.types
     limits = robot.plausible_limits
@@ -253,7 +253,7 @@ def _link_hulls(robot: SerialRobot) -> list[Array | None]:
     owners: list[int] = []
     problems: list[Problem] = []
     places: list[Array] = []
-    # For meshes without hulls, MuJoCo stores vertices in another frame. Rounding would change runs.
+    # Without hulls, MuJoCo would store vertices in other frames, and rounding would change runs.
     for i, geoms in enumerate(drawn_geoms(root, robot, problems, hull="unless flat")):
         for geom in (geom for geom in geoms if geom["type"] == MESH):
             root.worldbody.add_geom(type=MESH, meshname=geom["meshname"], contype=0, conaffinity=0)

@@ -122,7 +122,7 @@ class World(WorldView):
                 spec.delete(geom)
         bare = spec.compile()
         bare.opt.disableflags = model.opt.disableflags
-        if len(set(bare.dof_treeid.tolist())) <= 1:  # There is only one island.
+        if len(set(bare.dof_treeid.tolist())) <= 1:  # Islands need at least two trees.
             bare.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_ISLAND)
         bare.opt.timestep, bare.opt.gravity = model.opt.timestep, model.opt.gravity
         # These values may have changed after compilation.
@@ -158,7 +158,7 @@ class World(WorldView):
         for name, frame in self.scene.frames.items():
             data.mocap_pos[self.placed[name]] = OUT_OF_SIGHT
             self.set_declared(data, frame, ("frame",))
-        if self.owners:  # A program has not set the declared values.
+        if self.owners:  # Declared values do not count as set by a program.
             flags = [*self.flags.values()]
             data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
         mujoco.mj_forward(self.model, data)
@@ -229,7 +229,7 @@ class World(WorldView):
         return spec, f"  <!-- Masses, as in simulation:\n    {text} -->\n" if lines else ""
 
     def weighed(self) -> mujoco.MjModel:
-        """Returns the model with the masses of simulation. For display, only robots have masses."""
+        """Returns `model` for a simulated world, or else a copy with the masses of the robots."""
         if self.dynamic:
             return self.model
         return weighed_model(self.model, self.robots, dynamics_of(self.scene))

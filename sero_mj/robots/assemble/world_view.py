@@ -26,7 +26,8 @@ class WorldView(Protocol):
     Attributes:
         owners: robots and doubles with joints, by name, in the order of `joints`.
         slots: slices of `userdata` by name, for example `lwr.torques` or `sources.udp`.
-        flags: indices in `userdata` of the flags of inputs, which store what set them last.
+        flags: indices in `userdata` of the flags of inputs. A flag is 0 if the input has no value,
+            `SET_BY_SOURCE` (also for declared values), or `SET_BY_PROGRAM`.
         placed: indices in `mocap_pos` of the bodies that `frame` and `base_frame` inputs move, by
             name of the robot, frame, object or camera.
         has_sites: whether the model contains the sites of joints, frames and arrows.
@@ -53,9 +54,9 @@ class WorldView(Protocol):
     def reset(self, data: mujoco.MjData) -> None: ...
 
     def state(self, data: mujoco.MjData) -> Any:
-        """Returns the state that decor reads, which is an `MjData` or has these of its fields.
+        """Returns the state that decor reads: an `MjData`, or an object with the same fields.
 
-        The fields are `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat` and `userdata`.
+        Decor reads `time`, `qpos`, `xpos`, `xmat`, `site_xpos`, `site_xmat` and `userdata`.
         """
 
     def drawn_doubles(self, state: Any, shown: Bools) -> list[DrawnDouble]:
@@ -82,7 +83,7 @@ class WorldView(Protocol):
         """
 
     def set_declared(self, data: mujoco.MjData, declared: Any, keys: Iterable[str]) -> None:
-        """Sets inputs to the values of the fields `keys` of a declaration. Skips None."""
+        """Sets inputs to the values of the fields `keys` of `declared`, except for None."""
         for key in keys:
             if getattr(declared, key) is not None:
                 self.set_input(data, f"{declared.name}.{key}", getattr(declared, key))

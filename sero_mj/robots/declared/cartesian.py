@@ -78,7 +78,7 @@ class SmartArrow(Declaration):
 
     @property
     def metres_per_unit(self) -> float:
-        """Arrow length or width per unit of the vector, in m, by default that of the kind."""
+        """Arrow length or width in m per unit of the vector. The default depends on the kind."""
         return _SCALES[self.kind] if self.scale is None else self.scale
 
     @property

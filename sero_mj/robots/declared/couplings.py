@@ -83,11 +83,11 @@ class CoupledJoints:
         return np.asarray(values[..., self.source] * self.factors(key) + self.constants(key))
 
     def factors(self, key: str) -> Array:
-        """Returns factors that convert values of independent joints to all joints, shape (n,)."""
+        """Returns the factors that `full` applies to values of independent joints, shape (n,)."""
         return self.ratio if key in ("joint_angles", "joint_accelerations") else np.ones(self.n)
 
     def constants(self, key: str) -> Array:
-        """Returns constants to be added to the scaled values, shape (n,), NaN if unknown."""
+        """Returns the constants that `full` adds to the products, shape (n,), NaN if unknown."""
         if key == "joint_angles":
             return self.offset
         known = np.isin(np.arange(self.n), self.independent)

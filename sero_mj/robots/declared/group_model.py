@@ -88,9 +88,9 @@ def expand_groups(tables: Mapping[str, Any], file: Path, maximum: Mapping[str, i
 
 
 def where(problem: Problem, declared: Declared) -> Problem:
-    """Returns a problem with file, key and line, for a table that several files declare.
+    """Adds file, key and line to a problem of a robot or group that several tables declare.
 
-    The location is the first one in `declared` that contains the key, or else the last one.
+    The location is the first table in `declared` that contains the key, or else the last table.
     """
     key = problem.key.partition(".")[0]
     path, prefix = next((place for place in declared if has_key(place, key)), declared[-1])
@@ -326,7 +326,7 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
     `folder`, and also in its parent folder if `beside` is true.
     """
     found: dict[str, Any] = deepcopy(dict(tables))
-    whole = folder.absolute()  # so that no other folder is put before file names later
+    whole = folder.absolute()  # absolute, so that later joins do not change it
     for section in _SECTIONS:
         entries = found.get(section)
         for table in entries.values() if isinstance(entries, dict) else ():
@@ -343,6 +343,6 @@ def _found_from(folder: Path, tables: Mapping[str, Any], beside: bool = False) -
             around = Path(os.path.normpath(folder / ".."))
             for place in (folder, around) if beside else (folder,):
                 if isinstance(table.get("model"), str):
-                    with suppress(DeclarationError, UnknownName):  # reported by its user
+                    with suppress(DeclarationError, UnknownName):  # reported when the model is read
                         table["model"] = find(table["model"], place)
     return found

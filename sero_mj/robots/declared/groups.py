@@ -78,7 +78,7 @@ class Group(Posed):
     billboard_lines: BillboardLines = None
     elastic_joints: bool | None = None
 
-    # Files and keys of the tables of a group with a model, for problems that are detected later.
+    # Files and keys of the tables that declare a group with a model, for messages about problems.
     _declared: tuple[tuple[Path, str], ...] = PrivateAttr(())
 
     @property

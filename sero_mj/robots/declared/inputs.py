@@ -252,7 +252,7 @@ def _can_be_moved(item: Object) -> bool:
 
 
 def moving(scene: Scene) -> set[str]:
-    """Returns names of the objects and cameras that routes move, so they need their own bodies."""
+    """Returns the names of objects and cameras that routes move, which need their own bodies."""
     names = {item.name for item in scene.objects} | set(scene.cameras)
     return {
         name
@@ -265,8 +265,8 @@ def userdata_slots(scene: Scene) -> tuple[dict[str, slice], dict[str, int], int]
     """Allocates slots in `userdata` of MuJoCo for all inputs and sources of a scene.
 
     Returns:
-        Slots by name (`lwr.torques`, `sources.udp`), indices of flags by input, which store
-        whether the input is set, and the length of `userdata`.
+        Slots by name (`lwr.torques`, `sources.udp`); for each input, the index of the flag that
+        stores whether it is set; and the length of `userdata`.
     """
     lengths: dict[str, int] = {}
     inputs = list_inputs(scene)

@@ -74,7 +74,7 @@ def frame_place(robot: SerialRobot, base: Array, link: int, at: Array) -> Place:
 
 
 def independent_limits(robot: SerialRobot) -> Array | None:
-    """Returns limits of independent joints that respect those of coupled joints, shape (k, 2)."""
+    """Returns limits within which independent and coupled joints are in range, shape (k, 2)."""
     if robot.position_limits is None:
         return None
     return joint_ranges.independent_limits(robot.position_limits, robot.coupled)

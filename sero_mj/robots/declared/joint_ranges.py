@@ -31,7 +31,7 @@ def plausible_limits(position_limits: Array | None, n: int) -> Array:
 
 
 def independent_limits(limits: Array, coupled: CoupledJoints) -> Array:
-    """Returns limits of independent joints that respect those of coupled joints, shape (k, 2).
+    """Returns limits within which independent and coupled joints are in range, shape (k, 2).
 
     The limits of coupled joints are ignored if they allow less than 1 % of the driving joint's
     range.

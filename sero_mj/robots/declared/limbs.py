@@ -76,7 +76,7 @@ def limb_problems(names: Sequence[str], limbs: Mapping[str, Sequence[str]]) -> l
 def all_limbs(
     names: Sequence[str], found: Mapping[str, list[int]], declared: Mapping[str, Sequence[str]]
 ) -> dict[str, list[int]]:
-    """Returns declared limbs, and limbs of the remaining joints from `found`, as joint indices."""
+    """Returns joint indices by limb, declared or (for the remaining joints) detected (`found`)."""
     index = {name: i for i, name in enumerate(names)}
     limbs = {limb: [index[joint] for joint in joints] for limb, joints in declared.items()}
     taken = {i for joints in limbs.values() for i in joints}

@@ -31,7 +31,10 @@ def mount_labels(robot: SerialRobot) -> list[str]:
 
 
 def mounted_by_joints(robots: Mapping[str, SerialRobot]) -> dict[str, SerialRobot]:
-    """Returns robots whose `mount` names a joint or link, with the frame name (`icub/link9`)."""
+    """Converts mounts on joints or original links (`icub/l_elbow`) to mounts on frames.
+
+    Returns copies of the affected robots, whose `mount` is a frame name such as `icub/link9`.
+    """
     found = {}
     for name, robot in robots.items():
         below, _, label = (robot.mount or "").partition("/")

@@ -210,7 +210,7 @@ class SerialRobot(RobotDeclaration):
 
     @property
     def child_frames(self) -> list[Array]:
-        """Poses (4, 4) of the children in the frames to which they are fixed, m."""
+        """Poses (4, 4) of `children` in their reference frames, m, mirrored if required."""
         frames = [child.frame for child in self.children]
         return [MIRROR @ T @ MIRROR for T in frames] if self.mirrored else frames
 
@@ -309,7 +309,7 @@ class SerialRobot(RobotDeclaration):
 
         The default is the center of the generated housing. In the Craig convention, this is the
         frame origin. In the standard convention, the origin is at the other end of the offset d.
-        For a mirrored robot, the z axes of the offsets are the rotation axes of the joints.
+        Offsets of a mirrored robot are in frames whose z axes are the positive joint axes.
         """
         offsets = np.zeros((self.n, 3))
         if self.offsets_to_center_of_joints is not None:
@@ -393,7 +393,7 @@ def build_robot(
     if isinstance(below.setdefault("directory", ""), str):
         below["directory"] = str(model.parent / below["directory"])
     set_directory(below.get("children"), model.parent)
-    for key in (*IN_DEGREES.values(), "dh_params"):  # fields may override those in another unit
+    for key in (*IN_DEGREES.values(), "dh_params"):  # rad replaces deg, and deg replaces rad
         if key in fields or f"{key}_deg" in fields:
             below.pop(key, None)
             below.pop(f"{key}_deg", None)

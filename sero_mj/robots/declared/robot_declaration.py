@@ -52,7 +52,7 @@ from .robot_parts import (
 )
 from .surroundings import Object, check_mjcf
 
-# Values that fields of the DH table have in robots with `joint_frames`.
+# Values of the fields of the DH table in robots with `joint_frames`. Other values are errors.
 _OF_TABLE: dict[str, Any] = {
     "dh_params": np.zeros((0, 4)),
     "dh_params_deg": None,
@@ -274,7 +274,7 @@ class RobotDeclaration(Declaration):
     @classmethod
     def _joint_count(cls, rows: Array, info: ValidationInfo) -> Array:
         if "dh_params_deg" not in info.data:
-            raise ValueError("")  # dh_params_deg is invalid, and dh_params has its default
+            raise ValueError("")  # invalid dh_params_deg was already reported
         if info.data.get("joint_frames") is not None or "joint_frames" not in info.data:
             return np.zeros((0, 4))
         columns = info.data.get("dh_columns", [*COLUMNS])
@@ -295,7 +295,7 @@ class RobotDeclaration(Declaration):
             return value
         if info.field_name in ("joint_angles", "joint_angles_deg", *VALUE_INPUTS):
             if not {"couplings", "joint_names"} <= info.data.keys():
-                return value  # the couplings are invalid
+                return value  # invalid couplings were already reported
             if info.data["couplings"] and info.field_name == "joint_angles_deg":
                 return np.rad2deg(_with_coupled(np.deg2rad(value), info))
             if info.data["couplings"]:
@@ -407,8 +407,8 @@ class RobotDeclaration(Declaration):
             raise ValueError("found both dh_params and dh_params_deg; expected one of them")
         for in_degrees, key in IN_DEGREES.items():
             limits = getattr(self, in_degrees)
-            if limits is not None:  # set without another validation
-                self.__dict__[key] = np.deg2rad(limits)
+            if limits is not None:
+                self.__dict__[key] = np.deg2rad(limits)  # avoids another validation
                 self.__dict__[in_degrees] = None
         self.__dict__["dh_params_deg"] = None
         if self.length_unit == "mm":
@@ -416,7 +416,7 @@ class RobotDeclaration(Declaration):
             self.__dict__ |= {"dh_params": self.dh_params * metres, "length_unit": "m"}
         for rows in (self.dh_params, self.dh_base_frame, self.joint_frames):
             if rows is not None:
-                rows.setflags(write=False)  # `kinematics` is cached
+                rows.setflags(write=False)  # `kinematics` is cached, so these must not change
         return self
 
     @field_validator("billboard_lines")

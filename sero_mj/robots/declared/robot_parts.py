@@ -71,13 +71,16 @@ class Posed(Declaration):
         if self.joint_angles_deg is not None:
             if self.joint_angles is not None:
                 raise ValueError("found both joint_angles and joint_angles_deg; expected only one")
-            # Set without another validation.
+            # This avoids another validation.
             self.__dict__["joint_angles"] = np.deg2rad(self.joint_angles_deg)
             self.__dict__["joint_angles_deg"] = None
         return self
 
     def check_degrees(self, types: Mapping[str, Sequence[str]]) -> list[Problem]:
-        """Returns a problem if angles are in degrees and `types`, by robot, contain `prismatic`."""
+        """Returns a problem if `joint_angles_deg` is set, but a robot has prismatic joints.
+
+        `types` contains the joint types of each robot, by robot name.
+        """
         sliding = [name for name, of_joints in types.items() if "prismatic" in of_joints]
         if "joint_angles_deg" not in self.model_fields_set or not sliding:
             return []
@@ -154,7 +157,7 @@ def _no_words(limits: Any) -> Any:
 
 
 def split_largest(limits: Any) -> tuple[Any, bool]:
-    """Replaces "largest" in torque limits by None or inf, and returns whether it occurred."""
+    """Replaces "largest" by None, or by inf in a list. Also returns whether it was replaced."""
     if isinstance(limits, str) and limits == LARGEST:
         return None, True
     if isinstance(limits, list | tuple):

@@ -176,7 +176,7 @@ class Scene:
         for robot in robots or []:
             self.add(robot)
         self.doubles: dict[str, Double] = {}
-        self.double_groups: dict[str, list[str]] = {}  # names of doubles by double of a group
+        self.double_groups: dict[str, list[str]] = {}  # names, by double of a group
         for double in doubles or [] if "doubles" not in self.broken else []:
             self._add_double(double)
         self.arrows = {name: self._by_links(arrow) for name, arrow in self.arrows.items()}
@@ -268,7 +268,7 @@ class Scene:
         self.double_groups[double.name] = names
 
     def members(self, name: str) -> list[str] | None:
-        """Returns the robot names of a group, or the names of the doubles of a group's double.
+        """Returns the names of the robots in a group, or of the doubles in a double of a group.
 
         Invalid members are included. Returns None if `name` is neither a group nor such a double.
         """

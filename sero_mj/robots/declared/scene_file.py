@@ -155,10 +155,10 @@ class _SceneReader:
         self.tables = dict(tables)
         self.problems: list[Problem] = []
         self.broken: list[str] = []
-        self._settings: dict[str, list[tuple[str, Any]]] = {}  # overriding keys and values by entry
-        self._set_for: dict[tuple[str, str], str] = {}  # overridden group by robot and key
-        self._made: list[str] = []  # entries that only overrides declare
-        self._of_groups: dict[str, dict[str, str]] = {}  # by key: robot names by error message
+        self._settings: dict[str, list[tuple[str, Any]]] = {}  # (key, value) overrides by entry
+        self._set_for: dict[tuple[str, str], str] = {}  # group whose override set a key of a robot
+        self._made: list[str] = []  # entries that are in overrides but not in the file
+        self._of_groups: dict[str, dict[str, str]] = {}  # for each key: error message to robot name
         self.expanded = Expanded()
         others = self._override_groups(overrides)
         if isinstance(self.tables.get("groups"), dict):
@@ -206,7 +206,7 @@ class _SceneReader:
                 unknown = Problem(key, "unknown section", available=every)
                 self.problems.append(unknown)
                 meant = unknown.near
-                if meant in sections:  # References to its entries are not reported as errors.
+                if meant in sections:  # avoids errors about references to it
                     self.broken.append(meant)
         read = {}
         for key, reader in sections.items():
@@ -251,7 +251,8 @@ class _SceneReader:
     def _override_groups(self, overrides: Mapping[str, Any]) -> dict[str, Any]:
         """Applies overrides of groups before their expansion, and returns the other overrides.
 
-        Overrides of groups are `groups.NAME.KEY`, and keys that only groups with a model have.
+        An override concerns a group if it starts with `groups.`, or if it is `NAME.KEY`, where NAME
+        is a group with a model, and KEY is a key that only such groups have.
         """
         others = {}
         for target, value in overrides.items():
@@ -429,7 +430,7 @@ class _SceneReader:
         settings = self._settings.get(place, [])
         built = below = None
         lists: dict[str, int] = {}
-        if settings:  # They may override single elements of a list in the robot file.
+        if settings:  # An override may set one element of a list in the robot file.
             with suppress(DeclarationError):
                 built = build(name, table)
             if isinstance(built, SerialRobot):

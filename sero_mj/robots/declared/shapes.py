@@ -169,9 +169,10 @@ def _on_root(shapes: list[LinkShape], root: Array | None) -> list[LinkShape]:
 
 
 def _segments(table: JointTree, i: int, rod: float) -> tuple[Array, Array]:
-    """Returns polylines of the link offsets before joint i (fixed) and after it (moving).
+    """Returns two polylines that connect the parent frame of joint i to the frame that it moves.
 
-    The offset along the joint axis is fixed. The rod of a prismatic joint moves with its link.
+    The first is fixed in the parent frame, and includes the offset d along the joint axis. The
+    second is fixed in the moving frame, and includes the rod of a prismatic joint.
     """
     zero = np.zeros(3)
     if not isinstance(table, DhTable):

@@ -80,8 +80,8 @@ class ModelPart(RobotPart):
 
     Attributes:
         size: reach of the robot, m.
-        tool: label of the frame at the end of the chain, without the robot's name.
-        labels: labels of the base and the n links.
+        tool: frame at the end of the chain, without the name of the robot, for example `hand`.
+        labels: frames of the base and the n links, without the name of the robot.
     """
 
     robot: ModelRobot
@@ -180,7 +180,7 @@ def _model_robot(
             joint_frames=_joint_frames(model, tree),
             joint_types=["revolute" if turns else "prismatic" for turns in revolute],
             joint_names=tree.joint_names,
-            torques=np.zeros(n),  # Billboards need this input, and the model provides the values.
+            torques=np.zeros(n),  # lets billboards show torques, which the model provides
             **fields,
         )
     raise_any(problems)
@@ -212,11 +212,11 @@ def list_model_frames(
     doubles: Mapping[str, Double],
     wanted: Sequence[str],
 ) -> tuple[dict[str, NamedFrame], dict[str, tuple[str, int]]]:
-    """Returns the named frames of an external model, and the locations of their poses.
+    """Returns the named frames of an external model, and the locations of their poses, by name.
 
     Frames of robots and doubles are named `robot/body`. `wanted` contains names of additional
-    bodies and sites. A location is the name of the double from whose state the pose is read ("" for
-    the user's data), and the row in `xpos` followed by `site_xpos`.
+    bodies and sites. A location is `(double, k)` for row k in the state of a double, or `("", k)`
+    for row k in the user's data, where the rows of `xpos` are followed by those of `site_xpos`.
     """
     frames: dict[str, NamedFrame] = {}
     places: dict[str, tuple[str, int]] = {}

@@ -25,7 +25,8 @@ class ModelState:
 
     Attributes:
         site_xpos: positions of joints, frames and fixed points, in this order, shape (S, 3), m.
-        doubles: states by name of the double, for doubles with a pose. A path has several states.
+        doubles: states of the model in which the robot is in the pose of a double, by name of the
+            double: one state per pose of a path, otherwise one. Doubles without a pose are missing.
     """
 
     data: mujoco.MjData
@@ -44,9 +45,9 @@ class Sites:
     """Computes the S site poses of a `ModelState`, in the order joints, frames, fixed points.
 
     Args:
-        joints: joint frames of each robot and double. The name is the double from whose state they
-            are read, or "" for the user's data.
-        frames: name of a double or "", and row in `xpos` followed by `site_xpos`, for each frame.
+        joints: for each robot, "" and its joint frames, which are read from the user's data. For
+            each double, its name and joint frames, which are read from the state of the double.
+        frames: where to read each frame, as returned by `list_model_frames`.
         points: positions of fixed points in the world, shape (P, 3), m.
     """
 
@@ -57,7 +58,7 @@ class Sites:
         points: Array,
     ) -> None:
         self._joints, self._points, self._count = joints, points, len(frames)
-        self._frames = {  # indices and rows of frames by name of the state
+        self._frames = {  # by double: indices in `frames`, and rows to read
             name: (
                 [k for k, (of, _) in enumerate(frames) if of == name],
                 [row for of, row in frames if of == name],
@@ -158,9 +159,10 @@ class ModelDoubles:
     def pose(
         self, data: mujoco.MjData, angles: Mapping[str, Array]
     ) -> dict[str, list[mujoco.MjData]]:
-        """Returns states of the model in the poses of its doubles, by name of the double.
+        """Returns `ModelState.doubles` for the user's `data`.
 
-        `angles` contains the joint angles of doubles, shape (n,). Paths have their own angles.
+        `angles` contains the received joint angles, shape (n,), by name of the double. The joint
+        angles of paths are declared.
         """
         poses = {}
         for name, part in self._doubles.items():

@@ -114,7 +114,7 @@ def _fused_groups(model: mujoco.MjModel, roots: Ints) -> list[tuple[Ints, Ints]]
         limbs.append(np.stack([corners.min(axis=0), corners.max(axis=0)]))
     size = np.concatenate([np.ptp(limb, axis=0) for limb in limbs]).reshape(-1, 3)
     largest = 2 * np.linalg.norm(size, axis=1).sum()
-    nodes: list[tuple[int, Array, float]] = []  # root id or -1 - geom id, box, and bridged gap
+    nodes: list[tuple[int, Array, float]] = []  # as in `_touching`
     nodes += [(root, box, 0.0) for root, box in zip(hinged, limbs, strict=True)]
     for geom in solid.nonzero()[0]:
         box = np.stack([low[geom], high[geom]])
@@ -146,16 +146,17 @@ def _is_limb(model: mujoco.MjModel, root: int) -> bool:
 
 
 def _touching(start: int, nodes: list[tuple[int, Array, float]]) -> list[int]:
-    """Returns the ids of the nodes that geoms of the world connect to `start`, including `start`.
+    """Returns the ids of the limbs and world geoms that a trunk connects to the limb `start`.
 
-    A node has an id (negative for geoms of the world), a box (2, 3), and the gap that it bridges.
+    A trunk consists of world geoms that touch each other. A node is a limb or a world geom, with
+    an id (negative for geoms), a box (2, 3), and the maximum gap at which it touches other nodes.
     """
     found, todo = {start}, [node for node in nodes if node[0] == start]
     while todo:
         key, box, reach = todo.pop()
         for node in nodes:
             if node[0] in found or (key >= 0 and node[0] >= 0):
-                continue  # Limbs are only connected by a trunk.
+                continue  # Two limbs do not connect each other.
             gap = max(reach, node[2])
             if (box[0] - gap <= node[1][1]).all() and (node[1][0] - gap <= box[1]).all():
                 found.add(node[0])
@@ -168,7 +169,7 @@ def _scope(model: mujoco.MjModel, body: int) -> str:
 
 
 def _robot_name(model: mujoco.MjModel, roots: Ints, is_alone: bool) -> str:
-    """Returns the name of the root body, or its scope or the model name if it is generic."""
+    """Returns the name of the root body. If it is generic, returns its scope or the model name."""
     name = str(model.body(int(roots[0])).name).strip("/")
     model_name = model.names[: model.names.index(b"\0")].decode(errors="replace")
     model_name = "" if model_name == _UNNAMED else re.sub(r"[ _-]*scene$", "", model_name)

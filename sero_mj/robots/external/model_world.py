@@ -209,7 +209,7 @@ class ModelWorld(WorldView):
     def state(self, data: Any) -> ModelState:
         if isinstance(data, ModelState):
             return data
-        for name, key in self._live:  # These inputs have not been set by the user.
+        for name, key in self._live:  # inputs that the user has not set
             slot = self.slots[f"{name}.{key}"]
             self._userdata[slot] = getattr(data, _FROM_MODEL[key])[self.robots[name].dofs]
             self._userdata[self.flags[f"{name}.{key}"]] = 1.0
@@ -362,7 +362,7 @@ class ModelWorld(WorldView):
 
 
 class _ByName(np.ndarray):
-    """Values that were set by joint name. NaN of other joints is not counted in `not_finite`."""
+    """Values by joint name. Missing joints have NaN, which is not counted in `not_finite`."""
 
 
 def _no_joints(model: mujoco.MjModel) -> str:

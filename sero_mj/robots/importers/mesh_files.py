@@ -228,7 +228,7 @@ def without_bom(text: bytes) -> bytes:
 
 
 def _corners_of_obj(contents: bytes, count: int) -> Ints | None:
-    """Returns the vertex indices of all triangles of an OBJ file, or None if it has other faces.
+    """Returns the vertex indices of all faces of an OBJ file, or None if they cannot be parsed.
 
     Negative indices count backward from the last of `count` vertices.
     """

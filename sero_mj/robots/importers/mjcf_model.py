@@ -207,7 +207,7 @@ def read_links(
 
 
 def _outside(model: mujoco.MjModel, chosen: set[int]) -> set[int]:
-    """Returns the ids of mocap bodies, free bodies, and bodies with joints in other trees."""
+    """Returns mocap bodies, free bodies, and bodies with joints in trees not in `chosen`."""
     free = set(model.jnt_bodyid[model.jnt_type == _FREE].tolist())
     jointed = np.flatnonzero(model.body_jntnum).tolist()
     others = {body for body in jointed if int(model.body_rootid[body]) not in chosen}

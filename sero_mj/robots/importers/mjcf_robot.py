@@ -336,10 +336,10 @@ def _couplings(tree: MjcfTree, names: list[str], lost: list[str]) -> dict[str, A
 
 
 def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
-    """Returns the joints of a constraint, their factors (n,), and why it is not a coupling.
+    """Returns the joints of a constraint, and factors of all n joints in its linear form.
 
-    The coupled joint comes first. The sum of factor times (q - qpos0) over all joints is the first
-    coefficient of the polynomial. The reason is empty for a coupling.
+    The coupled joint comes first. The linear form is sum(factors * (q - qpos0)) = p(0). The third
+    value is the reason why the constraint is not a coupling, or "" if it is one.
     """
     model = tree.model
     items = model.eq_obj1id[equality], model.eq_obj2id[equality]
@@ -366,7 +366,7 @@ def _linear(tree: MjcfTree, equality: int) -> tuple[list[int], Array, str]:
 
 
 def _weights(model: mujoco.MjModel, equality: int, item: int) -> dict[int, float]:
-    """Returns the weights of joints in one side of a constraint, none for a spatial tendon."""
+    """Returns the joint weights of one side of a constraint; empty for a spatial tendon."""
     if item < 0:
         return {}
     if model.eq_type[equality] == _OF_JOINTS:

@@ -10,7 +10,7 @@ from urllib.parse import unquote
 
 from ...base.paths import open_file
 
-# Environment variables with folders that contain packages, directly or in a folder of each entry.
+# Environment variables with folders that are packages, or contain them up to two levels deep.
 _PACKAGE_PATHS = (
     "ROS_PACKAGE_PATH",
     "GZ_SIM_RESOURCE_PATH",

@@ -52,7 +52,7 @@ class RobotPlace(ABC):
 
     Attributes:
         title: displayed name of the collection.
-        none: text that is shown instead of names if no names are known.
+        none: text that `sero-mj list` shows if `names` is empty, for example an install command.
         order: search priority; the lowest comes first. Built-in collections use 10 to 90.
     """
 

@@ -53,7 +53,7 @@ class JointTree(ABC):
 
     @abstractmethod
     def step_lengths(self) -> Array:
-        """Returns distances to the parent frame along the offsets of the table, shape (n,), m."""
+        """Returns |a| + |d| of each DH row, or distances between joint frames, shape (n,), m."""
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
@@ -89,7 +89,7 @@ class JointTree(ABC):
         return moves
 
     def path_lengths(self, steps: Array) -> Array:
-        """Returns the sums of `steps` (n,) from the base to each frame, shape (n + 1,)."""
+        """Returns, for each frame, the sum of `steps` (n,) of the joints that move it, (n + 1,)."""
         return np.asarray(self.moves @ steps)
 
     @property
