@@ -120,7 +120,7 @@ def test_unknown_value_does_not_hold() -> None:
         ({"above": -1.0}, "above: found -1"),
         ({"measure": "flange_error", "below": -1.0}, "below: found -1"),
         ({"measure": "flange_error", "below": 1.0, "signed": True}, "`signed` requires "),
-        ({"below": 1.0, "signed": True, "of": "rms"}, "signed: found of = 'rms'"),
+        ({"below": 1.0, "signed": True, "of": "rms"}, 'signed: `of` is "rms"'),
         ({"measure": "flange_error", "below": 1.0, "joints": ["A1"]}, "remove `joints`"),
         ({"measure": None, "finds": "any", "signed": True}, "`signed` requires "),
         ({"measure": None, "finds_nothing": "any", "holds_at": "all"}, "`holds_at` requires "),

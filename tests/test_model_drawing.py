@@ -153,7 +153,7 @@ def test_moving_links_are_transparent_and_pages_agree_with_mujoco(touching: Mirr
 @pytest.mark.parametrize(
     ("what", "expected"),
     [
-        ("nothing", []),
+        ("none", []),
         ("bodies", ["lwr", *(f"lwr/link{k}" for k in range(1, 8)), "lwr/flange"]),
         ("joints", [f"lwr/{name}" for name in ("A1", "A2", "E1", "A3", "A4", "A5", "A6")]),
         ("geoms", ["floor", "table", "lwr/probe"]),

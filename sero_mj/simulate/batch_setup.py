@@ -31,8 +31,8 @@ class BatchSetup:
         drives: drives between controllers and motors; None if commands act on the motors directly.
         whole_bodies: moving bases of mounted robots in each row; empty if no robot is mounted.
         start: initial joint angles, shape (n,), rad or m.
-        drive: commanded torques, and torques before the limits, shape (m, 2, n), Nm or N.
-        gains: factors of the commanded torques, shape (m, n), which drive faults change.
+        drive: commanded torques after and before the limits, shape (m, 2, n), Nm or N.
+        gains: factor of each commanded torque, shape (m, n); drive faults change it.
         plans: cache of computed targets.
         has_changed: whether a controller was replaced since the last step.
     """
@@ -77,7 +77,7 @@ class BatchSetup:
         return self.compiler.robot_model(robot, self._run.gravity)
 
     def models(self, robots: Sequence[SerialRobot], rows: Sequence[int]) -> RobotModels:
-        """Returns the models of robots in some rows, which follow the bases of mounted robots."""
+        """Returns models of robots in some rows. The bases of mounted robots move in the models."""
         mountings = [
             (self.whole_bodies[row].mounting(robot.name), robot.base_frame)
             for row in rows
@@ -89,7 +89,7 @@ class BatchSetup:
 
 @contextmanager
 def located_in(scene: Scene) -> Iterator[None]:
-    """Adds the scene's file and lines to the problems of a `DeclarationError` raised inside."""
+    """Adds the scene's file and lines to a `DeclarationError` that the `with` block raises."""
     try:
         yield
     except DeclarationError as error:
@@ -99,7 +99,7 @@ def located_in(scene: Scene) -> Iterator[None]:
 def _stripped(scenario: Scenario, robots: dict[str, SerialRobot]) -> Scene:
     """Returns the scene without doubles, arrows and cameras, which would slow down every step.
 
-    Carried objects are masses of the flange and do not collide.
+    Objects that robots carry are removed, too. They only add mass to the flange.
     """
     scene = scenario.scene
     return Scene(

@@ -209,7 +209,7 @@ class Fault(Timed, ABC):
 
         Args:
             rows: indices of the faulty joints in the plant.
-            gains: factors of the commanded torques, shape (n,), which may be changed.
+            gains: factor of each commanded torque, shape (n,); drive faults change it in place.
         """
 
 

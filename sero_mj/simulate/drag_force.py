@@ -176,14 +176,14 @@ class DragForce:
 
 
 class _SpringPush(Push):
-    """A push by the drag spring, whose force is computed while pushes are applied.
+    """The push of the drag spring, which computes its force when the plant applies it.
 
-    Therefore a scenario with the recorded forces computes the same values in the same order.
+    A scenario with the recorded forces applies them in the same way, with identical results.
 
     Attributes:
         mass: apparent mass of the point, kg.
         place: position of the point at the beginning of the step, in the world, shape (3,), m.
-        is_due: whether a step of the controllers begins, so that the force must be computed.
+        is_due: whether a step of the controllers has begun, for which a force must be computed.
     """
 
     def __init__(self, drag: DragForce, plant: Plant, frame: str, point: Array) -> None:

@@ -73,7 +73,7 @@ class Drives:
             mass: mass matrix of the links without motors, shape (n, n), kg m2 (kg).
             stiffness: stiffness of the controller, shape (n, n), Nm/rad (N/m).
             damping: damping of the controller, shape (n, n), Nm s/rad (N s/m).
-            has_springs: whether the damping is designed for a stiffness.
+            has_springs: whether the damping is designed for the stiffness and changes with it.
 
         Raises:
             DeclarationError: the loop or the controller is unstable. The error names the joint with

@@ -46,7 +46,7 @@ class FaultSchedule:
     """Starts and ends the faults of a scenario.
 
     Args:
-        gains: factors of the commanded torques, shape (n,), which drive faults change.
+        gains: factor of each commanded torque, shape (n,); drive faults change it.
     """
 
     def __init__(self, scenario: Scenario, plant: Plant, due: TimedActions, gains: Array) -> None:
@@ -136,7 +136,7 @@ class EventSchedule:
     """The disturbances and faults of a scenario, ordered by step.
 
     Args:
-        gains: factors of the commanded torques, shape (n,), which drive faults change.
+        gains: factor of each commanded torque, shape (n,); drive faults change it.
         carried: carried objects of all runs of the batch.
     """
 
@@ -183,7 +183,7 @@ class EventSchedule:
         return events
 
     def fill(self, columns: dict[str, slice], rows: Array) -> None:
-        """Writes the known forces and poses to the log `rows`, which later poses are written to."""
+        """Writes planned forces and initial poses to `rows`, the log that later poses go to."""
         times = rows[:, 0]
         self._columns, self._log = columns, rows
         for name, disturbance in self.scenario.disturbances.items():

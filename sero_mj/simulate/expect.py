@@ -73,9 +73,9 @@ class Expect(Declaration):
             `real_time_factor`, which is simulated time divided by elapsed time).
         below: upper bound.
         above: lower bound.
-        holds_at: places where the bounds must hold: at `all` joints of all robots (default for
-            `below` alone), at `any` joint, or at one joint of `each_robot`. It is required for
-            `above` if there are several joints.
+        holds_at: joints at which the bounds must hold: `all` joints of all robots (default if only
+            `below` is set), `any` (at least one joint), or `each_robot` (at least one joint of each
+            robot). It is required for `above` if there are several joints.
         after: beginning of the evaluated time, s.
         before: end of the evaluated time, s.
         finds: kind of fault that the monitor must detect in one of the joints.
@@ -148,7 +148,7 @@ class Expect(Declaration):
             raise ValueError(f"`signed` requires one of the measures {known}; found {self.measure}")
         if self.signed and self.of == "rms":
             raise Problem(
-                "signed", "found of = 'rms', which has no sign", expected="of = 'mean'"
+                "signed", '`of` is "rms", which has no sign', expected='`of = "mean"`'
             ).error()
         if self.measure is None or self.signed:
             return

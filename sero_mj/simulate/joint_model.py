@@ -60,8 +60,8 @@ class JointModel:
     Attributes:
         n: number of joints of all robots.
         elastic: whether any joint is elastic.
-        forwards: whether a step ends with the kinematics and bias torques of the new state. If not,
-            the next step computes them, which is faster.
+        forwards: whether `advance` also computes the kinematics and bias torques of the new state.
+            If not, the next step computes them, which is faster.
         reads_torques: whether torques are read after each step. Reading the friction takes most of
             the time.
         motor_dofs: indices of the motors in `qvel`, shape (n,).

@@ -104,7 +104,7 @@ def files_of(scenario: Scenario) -> list[Path]:
 
 
 class LogSignals:
-    """The logged signals of one simulated robot, which can be sent like those of a motion."""
+    """The logged signals of one simulated robot, in the form that `sero-mj send` requires."""
 
     def __init__(self, simulation: Simulation, robot: str) -> None:
         self._simulation = simulation

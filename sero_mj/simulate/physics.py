@@ -42,7 +42,7 @@ class Physics:
         qvel: generalized velocities, shape (m, nv); may be changed in place.
         applied: applied torques (`qfrc_applied`), shape (m, nv), Nm or N; may be changed in place.
         unstable: mask of worlds whose motion has become unstable since `begin`, shape (m,).
-        broken: time in seconds and accelerations, shape (nv,), of each unstable world.
+        broken: time in seconds and accelerations, shape (nv,), by index of an unstable world.
         is_forwarded: whether kinematics and bias torques of the current state are computed.
     """
 

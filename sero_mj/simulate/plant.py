@@ -70,7 +70,7 @@ class PlantRows:
         self._scratch = self.physics.data_of(0) if m == 1 else mujoco.MjData(model)
 
     def row(self, row: int) -> Plant:
-        """Returns a new `Plant` of a row, which is not stored to avoid a reference cycle."""
+        """Returns a new `Plant` for a row. It is not cached, to avoid a reference cycle."""
         return Plant(self.world, self._each[row], rows=self, row=row)
 
     @property

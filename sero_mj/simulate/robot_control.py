@@ -29,7 +29,7 @@ class ControlledRobot:
     Args:
         stiffness: stiffness of elastic joints behind a torque loop, shape (n,), Nm/rad (N/m), or
             None if there are none.
-        make_model: function that makes a robot model for the controller at any time.
+        make_model: function that returns a new model of a robot for its controller.
 
     Attributes:
         joints: slice of the robot's joints in the plant.
@@ -165,8 +165,8 @@ class RobotControl:
     case, the rows are the first axis of all arrays.
 
     Args:
-        drive: output array for commanded torques, and for torques before the limits, of all joints
-            of the plant, shape (m, 2, n), Nm or N.
+        drive: output array for commanded torques after and before the limits, for all joints of the
+            plant, shape (m, 2, n), Nm or N.
         row: index of the controlled row; None for all rows.
 
     Attributes:
@@ -294,7 +294,7 @@ class RobotControl:
         """Computes `commanded` for the step after log row k.
 
         Raises:
-            SimulationError: a torque is NaN or infinite. It is raised only for a single robot.
+            SimulationError: a torque is NaN or infinite. It is raised only for a single row.
         """
         sensed, joints = self.sensed, self._joints
         for to, measured in self._read:

@@ -309,7 +309,7 @@ class _Observer:
         The observer uses the mean of the measured torques since the last update.
 
         Args:
-            measured: angles, velocities and torques since then, shape (steps, m, 3, n).
+            measured: angles, velocities and torques since the last update, (steps, m, 3, n).
         """
         own = measured if measured.shape[1] == len(self.rows) else measured[:, self.rows]
         angles, velocities = own[-1, :, 0], own[-1, :, 1]

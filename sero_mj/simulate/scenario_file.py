@@ -317,7 +317,7 @@ def _with_setting(
 ) -> Any:
     """Returns the entry of a section with one changed value.
 
-    If a robot has no entry yet, the entry of its innermost group with an entry is copied.
+    If a robot has no entry yet, the entry of the innermost group that has one is copied.
 
     Raises:
         ValueError: a part of the key is not a table or list, or there is no such robot.

@@ -179,10 +179,10 @@ class Sensors:
         self.rows.repair(self.row)
 
     def end_faults(self, reapply: Callable[[], None]) -> None:
-        """Ends all sensor faults, and applies the remaining faults again.
+        """Ends all sensor faults, and applies those again that are still active.
 
         Args:
-            reapply: function that applies the remaining faults. Frozen and delayed readings remain.
+            reapply: function that applies the active faults. Frozen and delayed readings remain.
         """
         rows, row = self.rows, self.row
         held, delays, past = rows.held[row].copy(), rows.delays[row].copy(), rows.past.copy()

@@ -169,10 +169,10 @@ class PacketFile(ABC):
         return {"kind": "replay", "file": str(self.path), "source": name}
 
     def move_robot(self, scene: Any, source: str | None = None) -> Any:
-        """Returns a copy of a `Scene` with one robot, which this recording moves.
+        """Returns a copy of a `Scene` in which this recording moves the only robot.
 
-        Other scenes, and scenes with sources, are returned unchanged. Recordings of packets change
-        no scene.
+        Other scenes are returned unchanged: scenes with sources or several robots, and scenes whose
+        robot no source matches. A recording of packets returns every scene unchanged.
 
         Args:
             source: source of the recording that moves the robot; None to find it by joint names.

@@ -80,10 +80,11 @@ class JointEffect(Effect):
     """A fault of one joint.
 
     Attributes:
-        columns: effects on the residuals of link and motor per parameter, shape (K, n) each.
+        columns: for each parameter, the change of the residuals of link and motor per unit of the
+            parameter, shape (K, n) each.
         least: minimum magnitude of the first parameter of each joint, shape (n,); None for 0.
-        variants: returns effects of similar values for a fitted first parameter, if the effect is
-            not linear in a value, such as a delay.
+        variants: function that converts the fitted first parameter to effects with other values to
+            try, for effects that are not linear in their value, such as delays; None for others.
     """
 
     columns: Sequence[tuple[Array, Array]] = ()
@@ -112,7 +113,8 @@ def joint_effects(found: TorqueResiduals, true: Array, late: Array) -> list[Join
     Args:
         found: the residuals.
         true: torques that a correct sensor would measure, shape (K, n), Nm or N.
-        late: change of these torques by each of `DELAYS`, shape (D, K, n).
+        late: these torques with each of the D `DELAYS`, minus those without a delay, shape
+            (D, K, n).
     """
     zero, one = np.zeros_like(found.link), np.ones_like(found.link)
     has_link = bool(np.isfinite(found.link).any())

@@ -86,7 +86,7 @@ class _Fit:
 
 
 class Search:
-    """Searches for explanations in descending order of evidence."""
+    """Searches for explanations of residuals; those with the strongest evidence come first."""
 
     def __init__(
         self,

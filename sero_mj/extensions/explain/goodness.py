@@ -3,7 +3,10 @@
 The odds of an explanation compare it with the other kinds of faults. If the true cause is not among
 them, the best kind still has high odds. Its parameters then differ between parts of the recording,
 and the torques of one part do not predict those of another one. So each explanation is fitted to
-all parts but one, and its error is measured on that part (cross-validation, Stone 1974).
+all parts but one, and its error is measured on that part (cross-validation).
+
+Source: Stone, Cross-validatory choice and assessment of statistical predictions, Journal of the
+Royal Statistical Society B 36(2), 1974.
 """
 
 from __future__ import annotations

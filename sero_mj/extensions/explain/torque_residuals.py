@@ -71,13 +71,14 @@ class Torques:
 
     Attributes:
         model: link torques of the model.
-        rates: rates of change of the measured or commanded torques (the faster of the two), Nm/s.
+        rates: the larger of the rates of change of measured and commanded torques, Nm/s.
         curvature: second derivatives of the measured torques, Nm/s2.
         requested: torques requested by joint torque control within the limits of the drives,
             without friction compensation.
         delivered: torques of the drives, from measured torques and the motion of the motors.
-        late_model: change of the model's torques by each of `DELAYS`, shape (D, K, n).
-        late_commanded: change of the commanded torques by each of `DELAYS`, shape (D, K, n).
+        late_model: link torques of the model with each of the D `DELAYS`, minus those without a
+            delay, shape (D, K, n).
+        late_commanded: the same for the commanded torques.
         payload: torques per unit of the `PARAMETERS` of a body at the flange (mass, first moments
             and inertia about the flange frame), shape (K, n, 10).
     """

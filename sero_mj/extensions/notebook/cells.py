@@ -169,8 +169,8 @@ class _Visitor:
         self._kernel, self._heard = kernel, time.monotonic()
         self._lock = threading.Lock()
         self._unanswered = 0  # number of messages without an acknowledgment
-        # A busy kernel receives nothing from its pages, so it acknowledges messages itself.
-        self._answered_early = 0  # number of such acknowledgments
+        # A busy kernel receives no acknowledgments from a page, so it sends them in its place.
+        self._answered_early = 0  # number of acknowledgments in place of the page
         self._socket: ClientConnection | None = None
         self.is_gone = False
         threading.Thread(target=self._run, name="sero-mj cell", daemon=True).start()

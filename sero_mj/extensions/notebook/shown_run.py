@@ -39,7 +39,7 @@ class ShownRun(Tool):
         self._run: str | None = None  # finished run that was not sent yet
 
     def receive(self, message: str) -> None:
-        """Starts capturing for the message `begin`. For `now`, `reply` makes a run at once."""
+        """Starts capturing for `begin`. For `now`, the next `reply` creates a run at once."""
         if message == "now":
             self._sent, self._is_new = 0.0, bool(self._frames)
         elif self._capturer is None:
@@ -61,7 +61,7 @@ class ShownRun(Tool):
             self._frames.popleft()
 
     def reply(self) -> str | None:
-        """Returns a new run in the format of `packed`, or None."""
+        """Returns a new run in the format of `packed`, or None if none is finished."""
         run, self._run = self._run, None
         is_making = self._thread is not None and self._thread.is_alive()
         if run is None and self._is_new and not is_making:

@@ -26,7 +26,7 @@ def led_by(
     parent_frames: Callable[[], Mapping[str, tuple[str, bool]]],
     source: str | None,
 ) -> Scene:
-    """Returns a copy of a scene with one robot, which the recording moves.
+    """Returns a copy of a scene in which the recording moves the only robot.
 
     Args:
         nameless: topics whose messages contain no joint names.

@@ -89,7 +89,10 @@ def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path
 def scenes_of_bag(
     bag: PacketFile, choose: str, source: str | None = None, wanted: Collection[str] = ()
 ) -> Iterator[str]:
-    """Yields scenes of the robot in a ROS recording, from its description or of included robots.
+    """Yields scenes that can show a ROS recording.
+
+    The first scene shows the robot that the recording describes, if it contains a description. The
+    other scenes are included robots with the joint names of the recording.
 
     Args:
         choose: option that chooses a scene, such as `--scene NAME`, for the error message.

@@ -40,18 +40,18 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
 
     def setup(self, worker: Any) -> None:
         """Unpacks the files. Called by the worker."""
-        os.environ["MUJOCO_GL"] = "disable"  # no rendering here
+        os.environ["MUJOCO_GL"] = "disable"  # workers never render
         self._root = Path(worker.local_directory).absolute() / self.name
         self._kept = set(unpack(self._archive, self._root))
         self._archive = b""
         self._runner: Runner | None = None
-        self._alone = threading.Lock()  # a runner caches compiled models
+        self._alone = threading.Lock()  # serializes `run`: its calls share cached models
 
     def teardown(self, worker: Any) -> None:
         shutil.rmtree(self._root, ignore_errors=True)
 
     def differences(self) -> list[str]:
-        """Returns the differences from the client that would change results."""
+        """Returns how this worker differs from the client in ways that would change results."""
         own = versions()
         found = [
             f"{name} is {own[name]} there and {wanted} here"
@@ -77,7 +77,7 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
         return text.replace(str(self._root), "")
 
     def run(self, tasks: Sequence[Mapping[str, Any]], archive: bytes) -> list[dict[str, Any]]:
-        """Runs tasks as `Runner.run` does; the archive contains their additional files."""
+        """Runs tasks like `Runner.run`. `archive` contains files that only these tasks need."""
         with self._alone:
             if self._runner is None:
                 self._runner = self._job.below(self._root).runner()
@@ -93,12 +93,12 @@ class JobFiles(WorkerPlugin):  # type: ignore[misc]
 def run_tasks(
     name: str, tasks: Sequence[Mapping[str, Any]], archive: bytes
 ) -> list[dict[str, Any]]:
-    """Runs tasks with the `JobFiles` of this name. Called on a worker."""
+    """Runs tasks with the `JobFiles` plug-in of this name. Called on a worker."""
     found: list[dict[str, Any]] = get_worker().plugins[name].run(tasks, archive)
     return found
 
 
 def differences_on_worker(name: str, dask_worker: Any) -> list[str]:
-    """Returns the differences that the `JobFiles` of this name detect. Called on a worker."""
+    """Returns `JobFiles.differences` of the plug-in of this name. Called on a worker."""
     found: list[str] = dask_worker.plugins[name].differences()
     return found

@@ -73,7 +73,7 @@ class Mutations:
         return {COLUMN: self.name(number)}
 
     def choices(self) -> list[dict[str, Any]]:
-        """Returns the values of all mutations, because any mutation may name a file."""
+        """Returns the values of all mutations, because any value may be a file name."""
         return self.variants[1:]
 
     def settings(self) -> dict[str, Any]:
@@ -117,9 +117,9 @@ class Judged:
 
     Attributes:
         noticed_by: failed expectations, or the error that stopped the run.
-        moved: expectation whose value the mutation changes most, relative to its value without the
-            mutation; None if no value is known or changes. If no expectation detects the mutation,
-            tighten this one.
+        moved: expectation whose value the mutation changes most in relative terms. If no
+            expectation detects the mutation, tighten the bounds of this one. None if no value is
+            known or changes.
         value: value of the expectation `moved` with the mutation.
         value_without: value of the expectation `moved` without the mutation.
     """

@@ -15,10 +15,10 @@ import numpy as np
 from ...base.errors import DeclarationError, Problem, UsageError
 from ...base.frames import Array
 
-MAX_VARIANTS = 200_000  # values and results are stored in memory
+MAX_VARIANTS = 200_000  # limited by memory, which stores all values and results
 _TRIED = 20  # number of variants that are checked in advance
 _SCALES = ("log", "int")
-_WHOLE = ("run.seed",)  # keys of integers
+_WHOLE = ("run.seed",)  # keys that accept only integers
 _EXAMPLE = "expected KEY=LOW:HIGH, log:LOW:HIGH, int:LOW:HIGH or a list A,B,C"
 
 
@@ -209,7 +209,7 @@ class Samples:
         return self.variants[number]
 
     def choices(self) -> list[dict[str, Any]]:
-        """Returns values other than numbers, which may be file names."""
+        """Returns the listed values that are not numbers, because they may be file names."""
         return [
             {vary.key: value}
             for vary in self.varied
@@ -222,7 +222,7 @@ class Samples:
         return {"vary": varied, "samples": self.count, "grid": self.is_grid, "seed": self.seed}
 
     def check(self, read: Callable[[Mapping[str, Any]], object], fixed: Mapping[str, Any]) -> None:
-        """Checks that no varied key is fixed, and that at least one variant is valid."""
+        """Raises SeroError if a varied key is fixed, or none of the first variants is valid."""
         for key in self.columns:
             if key in fixed:
                 expected = "one of --vary and --set"

@@ -129,7 +129,7 @@ def _installed() -> tuple[Path, ...]:
 
 
 def _note_files(file: str, fixed: dict[str, Any], choices: list[dict[str, Any]]) -> set[Path]:
-    """Reads and simulates variants of a scenario, without running them.
+    """Reads variants of a scenario, and creates their simulations without running them.
 
     Returns all opened files that are not installed, and those of included robots.
     """

@@ -36,10 +36,10 @@ class Design(Protocol):
         """Overriding values of all variants by dotted key."""
 
     def cells(self, number: int) -> dict[str, Any]:
-        """Returns the cells of a variant in `columns`."""
+        """Returns the values of a variant in `columns` of the table of results."""
 
     def choices(self) -> list[dict[str, Any]]:
-        """Returns values of variants that may name files."""
+        """Returns the overriding values that may be names of files to send to workers."""
 
     def settings(self) -> dict[str, Any]:
         """Returns all settings that the variants depend on."""

@@ -283,7 +283,7 @@ def value_columns(columns: list[str]) -> dict[str, str]:
 
 
 def summarise_sweep(rows: Rows, columns: list[str]) -> SweepSummary:
-    """Returns the summary of a sweep from its rows, which are mapped from variant numbers."""
+    """Returns the summary of a sweep from its rows, by number of the variant."""
     outcomes = []
     for name, column in value_columns(columns).items():
         values = [

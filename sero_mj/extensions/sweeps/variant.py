@@ -50,7 +50,7 @@ def runs_alone(scenario: Scenario) -> bool:
 
 
 class VariantRunner:
-    """A `Runner` of variants of a scenario, which run together if they differ only in numbers.
+    """A `Runner` of variants of a scenario. Variants with equal `batch_key` run together.
 
     Args:
         file: scenario file.

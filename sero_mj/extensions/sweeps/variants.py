@@ -43,7 +43,7 @@ class Variants:
         return files_read(self.file, self.fixed, self.choices)
 
     def files_of(self, values: Mapping[str, Any]) -> list[Path]:
-        """Returns no files, because those of `choices` are already in `files`."""
+        """Returns no files, because `files` already includes those that variants name."""
         return []
 
     def below(self, root: Path) -> Variants:

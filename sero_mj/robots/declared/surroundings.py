@@ -169,7 +169,7 @@ class Object(Declaration):
                 continue
             found = f"{key}: found {getattr(self, key):g}"
             if self.urdf is not None:
-                raise ValueError(f"{found} for a URDF, which is fixed; expected no {key}")
+                raise ValueError(f"{found} for a URDF object, which cannot move; expected no {key}")
             if self.mjcf is not None:
                 raise ValueError(f"{found} for MJCF; expected the {key} in its geoms")
             raise ValueError(f"{found} for {self.shape}; expected a solid shape or a mesh")

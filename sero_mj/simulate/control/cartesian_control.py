@@ -37,7 +37,7 @@ from .robot_models import RobotModels
 # Of 20,000 random poses of an LWR, a Puma 560 and a Panda, none with more than 1 % of the maximum
 # manipulability has a pivot below 8e-6, so the null space is exact there.
 _BLOCKED = 5e-6
-_LIMP = 1e-4  # minimum for the design of the damping, which must also suit nearby poses
+_LIMP = 1e-4  # higher minimum to design the damping, which must also suit nearby poses
 _MIN_STIFFNESS = 1.0  # minimum stiffness for which the null space is damped, Nm/rad
 # Maxima of sliders, N/m and Nm/rad.
 _SLIDER_TRANSLATION, _SLIDER_ROTATION, _SLIDER_NULLSPACE = 5000.0, 300.0, 200.0
@@ -67,7 +67,8 @@ class CartesianImpedance(ControllerDeclaration):
         damping: damping ratio of the flange.
         axes: axes of the stiffness: `world`, or `flange` for the axes of the target pose.
         nullspace_stiffness: stiffness toward the posture of the target, Nm/rad per joint.
-        nullspace_damping: damping ratio of the null space per joint, for at least 1 Nm/rad.
+        nullspace_damping: damping ratio of the null space per joint, designed for the null-space
+            stiffness, or for 1 Nm/rad if it is lower.
         damping_every: time between two designs of the damping matrices, s.
     """
 

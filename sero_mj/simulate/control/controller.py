@@ -167,7 +167,8 @@ class Target:
     def part(self, row: int, joints: slice) -> Target:
         """Returns the target of one robot in a row.
 
-        Its arrays are views, except for pose, twist and wrench if the row has other robots.
+        Its arrays are views of this target. If the row has several robots, pose, twist and wrench
+        are new arrays.
         """
         made = Target(joints.stop - joints.start)
         pose = made.pose
@@ -216,7 +217,7 @@ class Controller:
 
     @property
     def group(self) -> tuple[object, ...] | None:
-        """Key that is equal for controllers that `joined` can join; None if it cannot join any."""
+        """Hashable key; `joined` can join controllers with equal keys. None if it cannot."""
         return None
 
     def torques(self, sensed: Sensed, target: Target, out: Array) -> None:
@@ -249,7 +250,10 @@ class Controller:
 
     @classmethod
     def joined(cls, each: Sequence[Any], robots: int, model: RobotModels) -> Controller:
-        """Joins unused controllers with the same `group`, which are listed row by row."""
+        """Returns one controller that computes the torques of all controllers in `each`.
+
+        `each` lists new controllers with the same `group`, row by row, with `robots` per row.
+        """
         raise NotImplementedError
 
 
@@ -284,8 +288,8 @@ class Slider:
         value: current value.
         maximum: maximum value. The minimum is 0.
         text: printf format of the value, for example `%.1f Nm s/rad`.
-        fields: function that returns the changed fields of the declaration for a value.
-        describe: function that formats these fields for a message.
+        fields: function that takes a value, and returns the changed fields of the declaration.
+        describe: function that formats the changed fields for a message.
         tip: tooltip.
         group: label of the collapsible group that contains the slider; empty for none.
     """
@@ -301,7 +305,7 @@ class Slider:
 
 
 def range_text(key: str, unit: str = "") -> Callable[[Mapping[str, Any]], str]:
-    """Returns a function that formats the range of the numbers in a field."""
+    """Returns a function that formats the numbers in a field, such as `100 to 300 Nm/rad`."""
 
     def text(fields: Mapping[str, Any]) -> str:
         array = np.atleast_1d(fields[key])
@@ -323,10 +327,10 @@ class ControllerDeclaration(Declaration, ABC):
         torque_limits: torque limit of each joint, Nm or N (default: the limits of the robot).
         torque_rate_limits: maximum rate of the torque of each joint, Nm/s or N/s (default: none).
         needs_target: whether the controller follows a target (default target: the initial pose).
-        needs_pose: whether the controller follows the pose of the flange and joint angles.
+        needs_pose: whether the controller follows a pose of the flange in addition to joint angles.
         protocol_joints: number of joints that the protocol supports; None for any number.
-        may_be_probed: whether torques may be computed for states outside of a run, in order to
-            determine the gains of the controller.
+        may_be_probed: whether the controller may be called outside of a run, in order to compute
+            its stiffness and damping for stability checks. False for external programs.
         logged: names of additional log columns, whose values are in `Controller.logged`.
         title: name in the list of controllers (default: `kind`).
         short: alternative name on the command line; empty for none.
@@ -398,7 +402,7 @@ class ControllerDeclaration(Declaration, ABC):
         return None if needed else cls()
 
     def softer(self) -> Self | None:
-        """Returns a declaration that is stable with a longer time step, or None."""
+        """Returns a copy with lower gains, to be tried if these are unstable, or None."""
         return None
 
     def sliders(self, robot: SerialRobot, first: Self) -> list[Slider]:

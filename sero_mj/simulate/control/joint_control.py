@@ -94,8 +94,8 @@ class JointImpedance(ControllerDeclaration):
     """Makes every joint a spring and a damper about its target angle.
 
     Attributes:
-        at_links: whether the stiffness of elastic joints behind a torque loop acts at the links,
-            instead of the motors.
+        at_links: whether the stiffness acts at the links instead of the motors. It applies to
+            elastic joints with joint torque control.
         stiffness: joint stiffness, 0 to 5000 Nm/rad per joint as on the KUKA LWR.
         damping: damping ratio per joint. 0.7 overshoots by 4.6 %, and 1 does not overshoot.
         feed_forward: whether the torques for the motion of the target are added.
@@ -323,7 +323,7 @@ class JointImpedanceController(Controller):
         self._timestep, self._at_links, self._feeds_forward = timestep, at_links, feed_forward
         self._rest: Array | None = None
         self._every = max(round(damping_every / timestep), 1)
-        # Number of steps, and the steps in which the damping of the rows is designed again.
+        # Number of completed steps, and the next steps in which the damping is designed again.
         self._k = self._next = 0
         self._due = np.zeros(model.rows, np.intp)
         shape = (*model.rows, model.n)

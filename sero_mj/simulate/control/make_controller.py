@@ -66,7 +66,7 @@ class LimitedController:
     def joined(
         cls, each: Sequence[LimitedController], robots: int, model: RobotModels
     ) -> LimitedController:
-        """Joins unused controllers with the same `Controller.group`, listed row by row."""
+        """Joins new controllers with the same `Controller.group`; see `Controller.joined`."""
         kind = type(each[0].controller)
         controller = kind.joined([one.controller for one in each], robots, model)
         made = cls(controller, np.ones(model.n), 1.0, joint_names=model.joint_names)
@@ -86,8 +86,8 @@ class LimitedController:
         """Writes the limited torques to `out`, shape (n,).
 
         Raises:
-            SimulationError: the controller raised an error, or a torque of a single robot is NaN or
-                infinite.
+            SimulationError: the controller raised an error, or a requested torque is NaN or
+                infinite. For joined controllers, call `is_finite` for each row instead.
         """
         requested = self.requested
         try:
@@ -133,7 +133,7 @@ class LimitedController:
         return bool(requested.dot(requested) < math.inf)  # detects NaN and inf in any joint
 
     def not_finite(self, sensed: Sensed, row: int = 0) -> SimulationError:
-        """Returns the error for a row that is not finite, which names its sensor or controller."""
+        """Returns the error for a row with NaN or infinite sensor readings or requested torques."""
         requested = np.atleast_2d(self.requested)[row]
         measured = sensed.values.reshape(-1, 3, len(requested))[row]
         for values, what in zip(measured, ("angle", "velocity", "torque"), strict=True):

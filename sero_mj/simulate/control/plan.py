@@ -87,8 +87,8 @@ def make_plan(
     """Computes the target of a robot for a run.
 
     Joint motions are converted to poses if a Cartesian controller needs them. Motions of the flange
-    are converted to joint angles by inverse kinematics. The angles are displayed, and they prove
-    that the robot can follow.
+    are converted to joint angles by inverse kinematics. The angles are displayed. Computing them
+    also checks that the robot can follow the motion.
 
     Args:
         target: target motion. If None, the robot stays at the start, or has no target if

@@ -139,7 +139,9 @@ class RobotModel:
         return self._model
 
     def follow(self, *mountings: tuple[Mounting, Array, int]) -> None:
-        """Makes every `update` move the bases of robots and add the robots that they carry.
+        """Includes moving bases and carried robots in the model.
+
+        Each later `update` reads the poses of the bases, and the inertias of the carried robots.
 
         Args:
             mountings: for each robot in the model, its mounting, its pose T_world_base when the
@@ -156,7 +158,7 @@ class RobotModel:
 
     @classmethod
     def of(cls, robot: SerialRobot, world: World | None = None) -> RobotModel:
-        """Returns the model of a declared robot that stands in the world (`mounts.unmounted`).
+        """Returns the model of a robot whose base is fixed in the world (see `mounts.unmounted`).
 
         Args:
             world: dynamic world with this robot alone, if it has already been compiled.
@@ -217,9 +219,10 @@ class RobotModel:
     def write_inverse_dynamics(
         self, velocities: Array, accelerations: Array, torques: Array, less: Array
     ) -> None:
-        """Writes the tracking torques M_link(q) a + C(q, dq) v + g(q) as `torques` minus `less`.
+        """Writes two arrays whose difference is M_link(q) a + C(q, dq) v + g(q).
 
-        All arrays have shape (n,), and v and a are `velocities` and `accelerations`.
+        These tracking torques are `torques - less`. v and a are `velocities` and `accelerations`.
+        All arrays have shape (n,).
         """
         # C(q, dq) v is linear in dq and in v, and symmetric. So with c(x) = C(q, x) x it is
         # c((dq + v) / 2) - c((dq - v) / 2): two recursive Newton-Euler passes.
@@ -232,7 +235,7 @@ class RobotModel:
         mj_rne(weightless, moving, 0, less)
 
     def write_momentum(self, momentum: Array, slope: Array) -> None:
-        """Writes the momentum of the links and its slope without torques, for an observer.
+        """Writes the links' momentum, and its derivative without joint torques, for an observer.
 
         Args:
             momentum: output array for M_link(q) dq without the motors, shape (n,).

@@ -16,8 +16,8 @@ class RobotModels:
     """Counterpart of `RobotModel` for several robots in m rows, joint after joint.
 
     The robots of all rows are side by side in one MuJoCo model, and one call computes their joint
-    torques, in a third of the time per robot. Jacobians are computed row by row, and only for rows
-    of one robot.
+    torques, in a third of the time per robot. Jacobians are computed row by row, and are available
+    only if each row has one robot.
 
     Args:
         mountings: for each robot in each row, its mounting and its pose T_world_base when the model

@@ -123,7 +123,7 @@ class LoopGains:
         return robot.model_copy(update={"dynamics": dynamics})
 
     def lighter(self, share: float) -> LoopGains:
-        """Returns gains with the inertia ratios (B / Bt)^share, which are 1 for a share of 0."""
+        """Returns gains with inertia ratios (B / Bt)^share: 1 for share 0, current for share 1."""
         ratio = (self.motor_inertias / self.shaped_inertias) ** share
         shaped = self.motor_inertias / ratio
         time = self.damping_time * np.sqrt(shaped / self.shaped_inertias)
@@ -163,7 +163,7 @@ class TorqueLoop:
         )
 
     def reset(self, torques: Array, velocities: Array, which: Bools | slice = slice(None)) -> None:
-        """Resets some rows to the state of drives that have held the robot until now.
+        """Resets some rows as if their drives had been holding the robot at rest.
 
         Args:
             torques: measured joint torques, shape (k, n), Nm or N.

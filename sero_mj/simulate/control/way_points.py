@@ -72,7 +72,7 @@ def _timed(points: Array, times: Array, each: str) -> tuple[Array, Array, Array]
         times = np.hstack([0.0, times])
     elif len(points) > 2:
         points = points[1:]
-    else:  # it remains there
+    else:  # the robot starts at the only way point, and rests there
         points, times = points[[1, 1]], np.array([0.0, 1.0])
     return points, times[:-1], np.diff(times)
 
@@ -307,7 +307,7 @@ def trapezoid_blend(duration: float, acceleration: float) -> float:
 def _schedule(
     speeds: Array, rates: Array, time_law: TimeScaling, dwell: float
 ) -> tuple[Array, Array, Array | None]:
-    """Returns earliest starts, durations and, for trapezoids, blend times of lines, (m,) each, s.
+    """Returns the earliest start, duration and (for trapezoids) blend time per line, (m,), s.
 
     Maximum speeds (1/s) and accelerations (1/s2) are infinite for lines of zero length.
     """
@@ -335,7 +335,7 @@ def _along(
     for way in np.unique(index):
         rows = index == way
         local = times[rows] - starts[way]
-        if durations[way] <= 0.0:  # nothing to move
+        if durations[way] <= 0.0:  # both way points are equal
             samples[0, rows] = 1.0
         elif blends is None:
             samples[:, rows] = quintic(local, durations[way])

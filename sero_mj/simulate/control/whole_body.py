@@ -22,7 +22,7 @@ from ...robots.declared.mounts import carrying_link
 
 @dataclass(frozen=True, eq=False)
 class Mounting:
-    """The base of one robot and the robots that it carries, in the data of a `WholeBody`.
+    """Indices of a robot's base and of the robots that it carries in the data of a `WholeBody`.
 
     Attributes:
         data: data of the whole body, with the composite inertias `crb`.
@@ -38,7 +38,7 @@ class Mounting:
 
 
 class WholeBody:
-    """All robots of a dynamic world at their measured angles. Later payloads are ignored."""
+    """All robots of a dynamic world at their measured angles, but without later payloads."""
 
     def __init__(self, world: World) -> None:
         self._world = world
@@ -83,10 +83,11 @@ class WholeBody:
 
 
 class Carrier:
-    """Moves the bases of a model's robots and adds their loads, as in a `WholeBody`.
+    """Moves the bases in a robot model, and adds the inertias of the robots that are carried.
 
-    For each robot, `robots` contains its mounting, its pose T_world_base when the model was made,
-    the id of its first joint in the model, and its number of joints.
+    Poses and inertias are those in the data of a `WholeBody`. For each robot, `robots` contains its
+    mounting, its pose T_world_base when the model was made, the id of its first joint in the model,
+    and its number of joints.
     """
 
     def __init__(

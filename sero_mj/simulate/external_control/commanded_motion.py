@@ -62,7 +62,7 @@ class CommandedMotion:
         self.velocities[:] = self.accelerations[:] = self.torques[:] = 0.0
 
     def servo(self, angles: Array, time: float, cycle: float) -> str:
-        """Follows streamed angles, (n,), rad. Returns why they are rejected, or an empty string.
+        """Follows streamed angles, (n,), rad. Returns the reason for a rejection, or "".
 
         Args:
             time: simulated time, s.
@@ -120,7 +120,7 @@ class CommandedMotion:
     def stop(self, deceleration: float) -> None:
         """Stops with a deceleration in rad/s^2, and holds the angles.
 
-        Streamed angles are followed to the last ones.
+        In mode `SERVOS`, the robot first moves to the last streamed angles.
         """
         if self.mode == SERVOS:
             self._ends = True

@@ -164,7 +164,8 @@ class Answer:
         modulus: modulus at which the step counter wraps.
 
     Raises:
-        DeclarationError: the structure has unknown events, or not either torques or angles.
+        DeclarationError: the structure has unknown events, or not exactly one of torques and
+            joint angles.
     """
 
     def __init__(

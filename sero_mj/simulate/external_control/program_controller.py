@@ -30,7 +30,7 @@ log = logging.getLogger(__name__)
 
 DONT_WAIT = getattr(socket, "MSG_DONTWAIT", 0)
 _SLICE = 0.02  # time between checks for interrupts and for the end of the program, s
-_BEHIND = 10  # maximum number of steps by which a program may lag that follows every step
+_BEHIND = 10  # maximum lag in steps of a program that counts as answering every step
 _OLD = 0.02  # minimum age of a command that is reported, s
 RECEIVE_BUFFER = 1 << 20  # size in bytes, so that unexpected packets do not displace the answer
 
@@ -50,13 +50,13 @@ class Reachable(ControllerDeclaration):
         host: address of the program.
         port: port of the program; 0 selects a free port for `command`.
         command: command that starts the program for a run, for example ["./controller", "--port",
-            "{port}"]; empty if the program is already running. Words may be numbers.
+            "{port}"]; empty if the program is already running. Numbers are converted to text.
         folder: working directory of the program, relative to the scenario's folder (the default).
         clock: `lockstep` (the simulation waits for the answer to each state) or `real_time` (states
             are sent on time, and the latest answer is used until the next step, as on a robot).
-        same_core: whether a started program runs on the same core as the simulation, in lockstep
-            and after its first answer. This avoids waking another core. Set it to false for
-            programs that later start threads for parallel computations.
+        same_core: whether to move a started program to the CPU core of the simulation after its
+            first answer. It only applies in lockstep, where waking another core takes time. Set it
+            to false for programs that later start threads for parallel computations.
         patience: maximum time to wait for an answer in lockstep, and maximum age of a command in
             real time, s.
         first_patience: maximum time to wait for the first answer, s.
@@ -87,7 +87,7 @@ class Reachable(ControllerDeclaration):
 
     @property
     def peer(self) -> str:
-        """Name of the program in the action that the user must allow."""
+        """Name of the program that is shown when the user must allow the connection."""
         return f"{self.host}:{self.port}"
 
     def actions(self, key: str = "") -> list[RequestedAction]:
@@ -110,7 +110,7 @@ class Reachable(ControllerDeclaration):
 
     @staticmethod
     def steps_per_cycle(cycle: float, timestep: float) -> int:
-        """Returns the number of steps in a cycle (s). Raises DeclarationError for a fraction."""
+        """Returns the steps in a cycle (s). Raises DeclarationError if they are fractional."""
         steps = round(cycle / timestep)
         if steps < 1 or abs(steps * timestep - cycle) > 1e-9:
             raise mismatch(cycle, f"a multiple of the time step, {timestep:g} s", key="cycle")
@@ -124,8 +124,8 @@ class Link:
         buffer: last received bytes.
         answered: number of the last answered step; 0 if there is none.
         is_silent: whether an answer is missing.
-        why_silent: known reason for a missing answer, which is appended to a sentence.
-        why_wrong: reason for an answer of the wrong size, if the reason is not the size itself.
+        why_silent: reason for a missing answer, to be appended to a message; empty if unknown.
+        why_wrong: reason why an answer was ignored; empty if only its size is wrong.
     """
 
     def __init__(self, declared: Reachable, robot: str, max_size: int) -> None:
@@ -290,7 +290,7 @@ class Link:
     # ---- real time
 
     def wait_until(self, time: float) -> float:
-        """Waits until a simulated time, and returns the delay in seconds."""
+        """Waits until a simulated time is due, and returns the delay behind it in seconds."""
         due = self._began + time
         while (left := due - clock.monotonic()) > 0.0:
             clock.sleep(left)
@@ -317,9 +317,9 @@ class Link:
             self.receive(take)
 
     def _due(self, time: float, step: int) -> float:
-        """Returns the time until which a step may be answered.
+        """Returns the deadline for the answer to a step, on the monotonic clock, s.
 
-        If steps start late, a program that follows every step gets its full time.
+        If the step starts late, its deadline is extended, unless the program lags far behind.
         """
         keeps_up = step - self.answered <= _BEHIND
         return self._began + time + (self._late if keeps_up else 0.0)

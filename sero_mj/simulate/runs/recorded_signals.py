@@ -27,7 +27,7 @@ from ...robots.declared.route_text import names_in, route_texts
 from ...robots.declared.scene import Scene
 from .run_log import event_of
 
-# Inputs of a robot that are signals of a run.
+# Inputs of a robot that are also signals of a run log.
 _SIGNALS = ("joint_angles", "torques", "commanded_torques")
 _TARGET = "target_angles"  # signal for the joint angles of a double
 _CHUNK = 8192  # number of packets that are decoded together
@@ -88,7 +88,7 @@ def series_of(receiver: Source, events: Mapping[str, Array], arrivals: Array) ->
     """Returns the values of a source's valid packets over time; see `read_events`.
 
     Args:
-        receiver: source whose `time` is the event with the send time.
+        receiver: source. Its `time` is the name of the event with the send time, if any.
         events: values by event name, shape (T, count), with T >= 1.
         arrivals: arrival times, shape (T,), s.
     """
@@ -160,9 +160,10 @@ def follow_routes(
     the latest packet is used.
 
     Args:
-        routes: origins by input, as in a scene. Routes from other sources are ignored.
-        doubles: tables of doubles by name. The first double of a robot, or of its group, that a
-            route moves is the robot's target.
+        routes: origins by input, as in a scene. Routes from sources that are not in `receivers` are
+            ignored.
+        doubles: tables of doubles by name. The first double of a robot (or of its group) whose
+            angles are routed shows the robot's target.
 
     Returns:
         signals by event name, shape (T, n), and times since the first row in seconds, shape (T,).
@@ -230,7 +231,7 @@ def _possible(
 
 
 def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> bool:
-    """Returns whether a name in an origin is known.
+    """Returns whether a name in a route's origin can be evaluated.
 
     Known names are units, recorded events, inputs of other routes and torques of a robot's model.
     """
@@ -241,7 +242,7 @@ def _is_there(name: str, routes: Collection[str], sources: Collection[str]) -> b
 
 
 class _Follower:
-    """Evaluates each route once, at the packet times of the source of the first route."""
+    """Evaluates routes at the packet times of the source of the route `first`."""
 
     def __init__(
         self,

@@ -180,7 +180,7 @@ class RunLog:
 def routes_from_recording(
     routes: Mapping[str, Any], source: str, recorded: Collection[str]
 ) -> dict[str, Any]:
-    """Returns routes with the names that events of a simulation have in its recording."""
+    """Returns routes with the event names in a recording, which may be old names."""
 
     def rename(match: re.Match[str]) -> str:
         return f"{source}.{recorded_event(match[1], recorded)}"

@@ -210,7 +210,7 @@ def _row_shape(shape: tuple[int, ...]) -> tuple[int, ...]:
 def _robot_of(
     path: Path, prefix: str, count: int, robots: Mapping[str, SerialRobot]
 ) -> SerialRobot:
-    """Returns the robot of events with a prefix. Raises UnknownName if there is none."""
+    """Returns the robot whose events have a prefix. Raises UnknownName if there is none."""
     by_event = {event_of(name, "joint_angles").removesuffix(_ANGLES): each
                 for name, each in robots.items()}  # fmt: skip
     robot = by_event.get(prefix)

@@ -21,7 +21,7 @@ from .run_log import RunLog
 
 @dataclass(frozen=True)
 class ColumnNames:
-    """Column names in the tables of a program, an entry point in the group `sero_mj.columns`.
+    """Column names in tables that a program writes: an entry point of `sero_mj.columns`.
 
     Attributes:
         names: column names by signal, in lower case, without number, joint and unit.
@@ -35,7 +35,7 @@ class ColumnNames:
 
 
 class Tables(ABC):
-    """A reader of tables for the commands, an entry point in the group `sero_mj.tables`.
+    """A reader of tables for use by commands: an entry point in the group `sero_mj.tables`.
 
     The argument `columns` contains the declared columns of signals. Other signals are recognized by
     the names of their columns. All methods raise CsvError if the table cannot be read or lacks

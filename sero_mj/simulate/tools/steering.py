@@ -22,7 +22,7 @@ from ..live_control import LiveRobot
 from ..runs.run_source import RunSource
 from .steering_panel import SteeringPanel
 
-_PAST = 0.1  # time before the newest time from which on the past is shown, s
+_PAST = 0.1  # minimum delay behind the newest time for the past to count as shown, s
 _NEAR = 5.0  # maximum distance of the pointer from a handle, pixels
 
 
@@ -31,7 +31,7 @@ class Steering(Tool):
 
     Attributes:
         robots: robots whose target and controller can be changed, by name.
-        goals: joint goals of the targets of these robots, by name of the robot.
+        goals: goal of each target in joint angles, by name of its robot.
         selected: name of the robot whose target has handles.
         has_handles: whether handles are shown.
         is_on: whether a target is being dragged.
@@ -79,7 +79,7 @@ class Steering(Tool):
 
     @property
     def state(self) -> tuple[tuple[str, bytes], ...]:
-        """Goals of the targets that do not follow their robots."""
+        """Name and goal angles of each robot whose controller follows a target."""
         return tuple(
             (name, goal.angles.tobytes())
             for name, goal in self.goals.items()
@@ -87,7 +87,7 @@ class Steering(Tool):
         )
 
     def restore(self, state: tuple[tuple[str, bytes], ...]) -> None:
-        """Restores the goals of targets."""
+        """Restores the goals in a `state`."""
         set_goals(self.goals, state)
 
     def goal(self) -> tuple[str, JointGoal, Array] | None:
