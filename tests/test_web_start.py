@@ -352,9 +352,7 @@ command = {command}
 def test_tile_and_dropped_folder_are_opened_in_a_browser(
     browser: Any, tmp_path: Path, home: None
 ) -> None:
-    program = (
-        "from sero_mj.viewer.session import start_page\n"  # without the ports of included scenes
-    )
+    program = "from sero_mj.viewer.host import start_page\n"  # without the ports of included scenes
     program += "start_page.listening = lambda: start_page.PortMonitor([])\n"
     program += "from sero_mj.cli import main\nmain(['view', '--web', '--fresh'])"
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "XDG_STATE_HOME": str(tmp_path)}
