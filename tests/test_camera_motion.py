@@ -219,7 +219,9 @@ def test_fixed_camera_follows_nothing() -> None:
     world = World(Scene(robots=[robot], cameras=cameras, view=View(follow="lwr/flange")))
     navigator = Navigator(world, "front")
     assert navigator.following is None
-    with pytest.raises(UsageError, match=r"follow: .* camera 'front' of the scene .* 'lwr'$"):
+    with pytest.raises(
+        UsageError, match=r"follow requires .* camera 'front' of the scene .* 'lwr'$"
+    ):
         followed(world, navigator.camera, "lwr")
 
 

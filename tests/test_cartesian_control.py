@@ -336,7 +336,7 @@ def test_arm_passes_a_singularity_with_bounded_torques_and_returns() -> None:
     assert np.linalg.norm(flange_at(loop.robot, logged[-1])[:3, 3] - reach) < 1e-3
 
 
-STIFFNESSES = "6 numbers (x, y, z in N/m; Nm/rad) or 6 x 6"
+STIFFNESSES = "6 numbers (N/m, Nm/rad), or 6 x 6 numbers"
 
 
 @pytest.mark.parametrize(

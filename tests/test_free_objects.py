@@ -136,7 +136,7 @@ def test_only_solid_objects_can_have_a_mass() -> None:
         ({"shape": "axes", "mass": 1.0},
          "mass: found 1 for axes; expected a solid shape or a mesh"),
         ({"mjcf": "<mujoco/>", "friction": 0.5},
-         "friction: found 0.5 for MJCF; expected the friction in its geoms"),
+         "friction: found 0.5 for an MJCF object; expected the friction in the geoms of the MJCF"),
     ):  # fmt: skip
         with pytest.raises(DeclarationError) as caught:
             Object(name="x", **fields)

@@ -208,7 +208,7 @@ def test_each_error_is_reported_once() -> None:
         ),
         ({"from": "udp.values0", "joints": [1]}, "joints: found [1]; expected names of joints"),
         ({"from": True, "joints": ["a"]}, "found true; expected an event"),
-        ([{"from": 1, "joints": ["a"]}, 3], "found 3 among tables"),
+        ([{"from": 1, "joints": ["a"]}, 3], "found 3 in a list of tables"),
     ],
 )
 def test_invalid_route_table_is_rejected(table: Any, message: str) -> None:

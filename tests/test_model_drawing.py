@@ -228,7 +228,7 @@ def test_check_boxes_of_a_page_can_be_undone(page: WebHost, client: PageClient) 
     client.until(lambda: client.state["shading"] == {"transparent": False, "wireframe": True})
     count = client.until(lambda: int(np.frombuffer(client.state["items"][:4], "<u4")[0] - few))
     assert count == 8
-    names = client.widget("panel", "names")["id"]
+    names = client.widget("panel", "displayed names")["id"]
     client.say("widget", tree="panel", id=names, value=PART_NAMES.index("joints"))
     client.until(lambda: [each for each in client.state["labels"] if each[0] == "lwr/A3"])
     words = page.render_words()

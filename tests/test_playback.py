@@ -251,7 +251,10 @@ def test_send_sends_a_scenario_as_simulated(
     )
     assert send(scene, "--play", "impedance_push", "--duration", 0.05) == 2
     refused = capsys.readouterr().err
-    assert "disturbances.push.begin: found 1 s; the run ends at 0.05 s" in refused
+    assert (
+        "disturbances.push.begin: found 1 s; expected a time before the end of the run at 0.05 s"
+        in refused
+    )
     mine = tmp_path / "mine.toml"
     mine.write_text('[robots.lwr]\nmodel = "lwr"\n[run]\nduration = 0.05\n')
     assert send(scene, "--play", mine) == 0

@@ -94,7 +94,7 @@ def test_table_gives_the_same_figure_as_its_recording(folder: Path, tmp_path: Pa
     [
         (["--joints", "A9"], "no joint 'A9' in swing; available: A1, A2, A3"),
         (["--robot", "lrw"], "no robot 'lrw' in swing; did you mean 'lwr'?"),
-        (["--from", "3"], "run swing lasts from 0 s to 0.5 s; it has no rows from 3 s"),
+        (["--from", "3"], "run swing has no rows from 3 s; it lasts from 0 s to 0.5 s"),
         (["--from", "3", "--to", "2"], "--to: found 2"),
         (["--source", "upd"], "no source 'upd' in "),
         (["--joints", "A1,,A2"], "found 'A1,,A2'; expected names separated by commas"),
@@ -190,6 +190,6 @@ def test_part_of_a_run_includes_its_ends() -> None:
     assert len(part.of("arm", "torques")) == 251
     assert len(sine_run(duration=1.0).between(None, 0.1).times) == 101
     with raises_with(
-        UsageError, reason="run run lasts from 0 s to 1 s; it has no rows from 2 s to 3 s"
+        UsageError, reason="run run has no rows from 2 s to 3 s; it lasts from 0 s to 1 s"
     ):
         sine_run(duration=1.0).between(2.0, 3.0)

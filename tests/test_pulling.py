@@ -157,7 +157,7 @@ def test_invalid_saves_and_grabs_are_rejected(tmp_path: Path) -> None:
     [
         ("extends = 3", "extends: found 3; expected the name or file of a scenario"),
         ('extends = "impedance_pusch"', "did you mean 'impedance_push'"),
-        ('extends = "own.toml"', "extends: found own.toml, which extends this file"),
+        ('extends = "own.toml"', "extends: `extends` is circular: own.toml extends this file"),
         ('extends = "impedance_push"\nset = 3', "set: found 3; expected a table"),
         ('extends = "impedance_push"\n[robots.b]\nmodel = "lwr"',
          "own.toml:2: robots can only be changed in [set] of a scenario that extends "),

@@ -114,7 +114,7 @@ def test_invalid_joints_and_flanges_are_rejected() -> None:
     with pytest.raises(ValueError, match=r"found joints \[\]"):
         RobotModel(model, [], body=flange)
     for both in ({}, {"site": 0, "body": 0}):
-        with pytest.raises(ValueError, match="expected a site or a body for the flange"):
+        with pytest.raises(ValueError, match=r"the flange is .*; expected a site or a body"):
             RobotModel(model, joints, **both)
 
 

@@ -162,7 +162,12 @@ def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nmeasure='position_eror'\nbelow=1\n",
-            Problem("expect.e.measure", "no", found="position_eror", available=["position_error"]),
+            Problem(
+                "expect.e.measure",
+                "no measure",
+                found="position_eror",
+                available=["position_error"],
+            ),
         ),
         (
             "[expect.e]\nmeasure='torque'\n",
@@ -183,7 +188,9 @@ def test_scenario_can_use_the_scene_of_another_file(tmp_path: Path) -> None:
         ),
         (
             "[expect.e]\nmeasure='torque'\nbelow=1\nafter=3\n",
-            Problem("expect.e.after", "found 3 s; the run ends at 0.1 s"),
+            Problem(
+                "expect.e.after", "found 3 s; expected a time before the end of the run at 0.1 s"
+            ),
         ),
         (
             "[sensors.lwr]\ntorqes={noise=1}\n",
@@ -329,7 +336,9 @@ def test_ineffective_or_impossible_entries_are_rejected(tmp_path: Path) -> None:
         ),
         (
             "[faults.x]\nkind='dead_sensor'\nbegin=17\n",
-            Problem("faults.x.begin", "found 17 s; the run ends at 0.1 s"),
+            Problem(
+                "faults.x.begin", "found 17 s; expected a time before the end of the run at 0.1 s"
+            ),
         ),
         (
             "[targets.lwr]\nkind='constant'\nfile='x.csv'\n",

@@ -126,7 +126,7 @@ def test_recording_is_not_overwritten_by_default(
     out = tmp_path / "run.mcap"
     assert simulate(scenario, "--record", out, "--quiet") == 0
     assert simulate(scenario, "--record", out, "--quiet") == 2
-    assert f"{out}: exists" in capsys.readouterr().err.replace("already ", "")
+    assert f"{out} exists" in capsys.readouterr().err.replace("already ", "")
     assert simulate(scenario, "--record", out, "--quiet", "--overwrite") == 0
 
 

@@ -275,13 +275,13 @@ def test_no_path_leads_out_of_the_folder(name: str, size: int) -> None:
 @pytest.mark.parametrize(
     ("message", "text"),
     [
-        ("nonsense", "expected a list of files with paths and sizes"),
-        (b"\xff", "expected a list of files"),
-        ('[{"path": "a.toml", "size": 1e999}]', "expected a list of files"),
-        ('[{"path": "a.toml", "size": 1.5}]', "expected a list of files"),
-        ("[" * 100_000, "expected a list of files"),
-        ('{"files": []}', "expected a list of files"),  # without a key
-        ('[{"path": "a.toml", "size": 1, "more": 1}]', "expected a list of files"),
+        ("nonsense", "the list of dropped files is invalid; expected their paths and sizes"),
+        (b"\xff", "the list of dropped files is invalid"),
+        ('[{"path": "a.toml", "size": 1e999}]', "the list of dropped files is invalid"),
+        ('[{"path": "a.toml", "size": 1.5}]', "the list of dropped files is invalid"),
+        ("[" * 100_000, "the list of dropped files is invalid"),
+        ('{"files": []}', "the list of dropped files is invalid"),  # without a key
+        ('[{"path": "a.toml", "size": 1, "more": 1}]', "the list of dropped files is invalid"),
         ('[{"path": "' + "a/" * 30 + 'a.toml", "size": 1}]', "found the path 'a/a/"),
         ("[]", "the drop contains no file; drop a robot"),
         (

@@ -209,7 +209,7 @@ def test_complete_files_are_accepted_and_errors_reported(opened: Opened) -> None
         assert told["text"] == "r.urdf: found 300000 bytes; expected a robot"
         assert 1 < told["seconds"] < 60
         answer = opened.upload(browser.key, [{"path": "a.toml", "size": 2}], b"abc")
-        assert answer == {"error": "a.toml: expected contents of 2 bytes"}
+        assert answer == {"error": "a.toml: found contents of another size; expected 2 bytes"}
     assert opened.asked.empty()
 
 
@@ -247,7 +247,10 @@ def test_rejected_uploads_leave_nothing_and_full_storage_is_reported(
 @pytest.mark.parametrize(
     ("listed", "told"),
     [
-        ([{"path": "a.toml", "size": float("inf")}], "expected a list of files with paths"),
+        (
+            [{"path": "a.toml", "size": float("inf")}],
+            "the list of dropped files is invalid; expected their paths",
+        ),
         ([{"path": f"{'x' * 300}/a.toml", "size": 1}], f"{'x' * 300}/a.toml cannot be stored: "),
         (
             [{"path": "m", "size": 0}, {"path": "m/a.toml", "size": 1}],

@@ -130,12 +130,14 @@ class Expect(Declaration):
         for key, known in (("measure", list(MEASURES)), ("finds", [*KINDS, "any"])):
             value = getattr(self, key)
             if value is not None and value not in known:
-                raise Problem(key, "no", found=value, available=known).error()
+                raise Problem(key, f"no {_NOUNS[key]}", found=value, available=known).error()
         self._check_sign()
         self._check_whose()
         for kind in self.finds_nothing if isinstance(self.finds_nothing, list) else []:
             if kind not in KINDS:
-                raise Problem("finds_nothing", "no", found=kind, available=list(KINDS)).error()
+                raise Problem(
+                    "finds_nothing", f"no {_NOUNS['finds']}", found=kind, available=list(KINDS)
+                ).error()
         if self.before is not None and self.before <= self.after:
             raise Problem(
                 "before", found=self.before, expected=f"more than {self.after:g} s"
@@ -211,7 +213,8 @@ class Expect(Declaration):
             message = "there are no contacts; add an object or another robot to the scene"
             problems.append(Problem("measure", message))
         if self.after >= scenario.duration:
-            message = f"found {self.after:g} s; the run ends at {scenario.duration:g} s"
+            end = f"before the end of the run at {scenario.duration:g} s"
+            message = f"found {self.after:g} s; expected a time {end}"
             problems.append(Problem("after", message))
         if problems:
             raise DeclarationError(problems)
@@ -386,6 +389,7 @@ class Expect(Declaration):
         return float(max(robots) if self.holds_at == "any" else min(robots))
 
 
+_NOUNS = {"measure": "measure", "finds": "kind of finding"}
 _REDUCE: dict[str, Callable[[Array], Array]] = {
     "max": lambda values: values.max(axis=0),
     "min": lambda values: values.min(axis=0),

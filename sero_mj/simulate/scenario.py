@@ -264,8 +264,8 @@ class Scenario:
         for section in ("disturbances", "faults"):
             for name, each in getattr(self, section).items():
                 if each.begin >= self.run.duration:
-                    end = f"the run ends at {self.run.duration:g} s"
-                    message = f"found {each.begin:g} s; {end}"
+                    end = f"before the end of the run at {self.run.duration:g} s"
+                    message = f"found {each.begin:g} s; expected a time {end}"
                     self.problems.append(Problem(f"{section}.{name}.begin", message))
         self._check_starts()
         for name, fault in self.faults.items():

@@ -196,7 +196,7 @@ def _extended(file: Path, base: Any, extending: tuple[Path, ...]) -> Path:
     except UnknownName as error:
         raise _wrong("extends", str(error)) from None
     if path.resolve() in extending:
-        raise _wrong("extends", f"found {base}, which extends this file")
+        raise _wrong("extends", f"`extends` is circular: {base} extends this file")
     return path
 
 

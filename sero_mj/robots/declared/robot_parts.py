@@ -183,7 +183,7 @@ def _differ_from_standard(names: list[str]) -> list[str]:
     taken = {*BILLBOARD_VALUES, *VALUE_INPUTS, "base_frame", "flange_check", "flange_frame"}
     for name in names:
         if name in taken or name.startswith("show_") or name == "arrow_quantity":
-            raise mismatch(name, "another name", "every robot has")
+            raise mismatch(name, "another name", "every robot already has an input or value")
     return names
 
 

@@ -107,7 +107,7 @@ def _text_for_joints(table: Any) -> str:
     example = '{ from = "udp.values0", joints = ["A1", "A2"] }'
     if not isinstance(table, Mapping) or not table.keys() & {*_OF_JOINTS}:
         if not isinstance(table, Mapping):
-            raise mismatch(table, example, of="among tables")
+            raise mismatch(table, example, of="in a list of tables")
         raise mismatch(
             table, 'an event such as "udp.values0", or numbers; put quotes around the whole name'
         )

@@ -150,7 +150,7 @@ class Object(Declaration):
         if (self.shape == "limb") != (self.reaches is not None):
             if self.reaches is None:
                 raise ValueError("reaches: found none; expected the frame at the end of the limb")
-            raise ValueError(f"reaches: found {self.reaches}; expected it only for a limb")
+            raise ValueError(f"reaches: found {self.reaches}; only a limb can have `reaches`")
         self._check_solid()
         if "finish" in self.model_fields_set and (self.shape in (None, "axes") and not self.mesh):
             what = "axes" if self.shape else "MJCF" if self.mjcf is not None else "a URDF"
@@ -171,7 +171,9 @@ class Object(Declaration):
             if self.urdf is not None:
                 raise ValueError(f"{found} for a URDF object, which cannot move; expected no {key}")
             if self.mjcf is not None:
-                raise ValueError(f"{found} for MJCF; expected the {key} in its geoms")
+                raise ValueError(
+                    f"{found} for an MJCF object; expected the {key} in the geoms of the MJCF"
+                )
             raise ValueError(f"{found} for {self.shape}; expected a solid shape or a mesh")
 
     @property

@@ -75,7 +75,8 @@ class RobotModel:
         name: str = "robot",
     ) -> None:
         if (site is None) == (body is None):
-            raise ValueError("expected a site or a body for the flange, and not both")
+            found = "undefined" if site is None else "defined by a site and by a body"
+            raise ValueError(f"the flange is {found}; expected a site or a body")
         ids = [int(joint) for joint in joints]
         n = len(ids)
         types = {int(mujoco.mjtJoint.mjJNT_HINGE), int(mujoco.mjtJoint.mjJNT_SLIDE)}

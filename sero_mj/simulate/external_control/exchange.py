@@ -181,7 +181,7 @@ class Answer:
             raise problem.error()
         springs = [name for name in ("stiffness", "damping") if name in events]
         if "torques" in events and springs:
-            problem = Problem("answer", f"{springs[0]} requires `joint_angles`")
+            problem = Problem("answer", f"`{springs[0]}` requires `joint_angles`; found `torques`")
             raise problem.error()
         declared = {"stiffness": stiffness, "damping": damping}
         if "joint_angles" in events:

@@ -61,8 +61,8 @@ class SizeOptions(Options):
         size: width and height in pixels.
         quality: draft has no shadows and no anti-aliasing, which is much faster with software
             OpenGL; fine is for print at 300 dots per inch, and adds motion blur to videos.
-        renderer: classic (OpenGL), or the name of a renderer that check lists (default: a renderer
-            with soft shadows for --quality fine if one is available, otherwise classic).
+        renderer: classic (OpenGL), or a renderer listed by `sero-mj check` (default: for --quality
+            fine, a renderer with soft shadows if one is available; otherwise classic).
     """
 
     size: Size = DEFAULT_SIZE

@@ -325,8 +325,8 @@ def _frame_count(mirror: Mirror, seconds: float | None, begin: float, fps: float
         seconds = left or (DEFAULT_SECONDS if mirror.sources else 0.0)
     if seconds > (limit := longest(mirror.world, fps)):
         raise RenderError(
-            f"found {seconds:g} s; expected at most {limit:.0f} s of this scene at {fps:g} frames "
-            "per second: export a shorter part, or fewer frames per second"
+            f"found a length of {seconds:g} s; expected at most {limit:.0f} s of this scene at "
+            f"{fps:g} frames per second: export a shorter part, or fewer frames per second"
         )
     if left is not None and not mirror.is_live:
         seconds = min(seconds, left)

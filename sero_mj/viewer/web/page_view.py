@@ -53,7 +53,9 @@ class PageView:
         every = np.array([*look_at, *numbers], float)
         is_valid = every.shape == (6,) and np.isfinite(every).all() and every[3] > 0
         if not (is_valid and np.abs(every).max() < _MAX_LENGTH):
-            raise ValueError("expected finite camera parameters")
+            raise ValueError(
+                "the camera parameters are invalid; expected finite numbers and a distance above 0"
+            )
         if not -1 <= fixed < self._world.model.ncam:
             raise ValueError(f"found camera {fixed}; expected -1 to {self._world.model.ncam - 1}")
         camera = self.navigator.camera

@@ -172,7 +172,7 @@ async def _take_file(connection: Any, file: Path, size: int, check: Callable[[],
             part = await _next(connection)
             check()
             if not isinstance(part, bytes) or len(part) > left:
-                raise ValueError(f"expected contents of {size} bytes")
+                raise ValueError(f"found contents of another size; expected {size} bytes")
             stream.write(part)
             left -= len(part)
 
@@ -213,7 +213,9 @@ def read_list(message: str | bytes) -> Listed:
     try:
         listed = _Listed.model_validate_json(message)
     except (ValidationError, UnicodeEncodeError):
-        raise UsageError("expected a list of files with paths and sizes") from None
+        raise UsageError(
+            "the list of dropped files is invalid; expected their paths and sizes"
+        ) from None
     if len(listed.files) > MAX_FILES:
         raise UsageError(f"found {len(listed.files)} files; expected at most {MAX_FILES}")
     found = {_checked(entry.path): entry.size for entry in listed.files}
