@@ -175,8 +175,8 @@ class RtdePeer(Peer):
                 f"message of client {self.name}: {text.decode('utf-8', 'replace')}"
             )
         elif not self._has_version:
-            text = f"the client sends {chr(kind)} before it requests RTDE version {VERSION}"
-            raise ProtocolError(text)
+            problem = f"the client sends {chr(kind)} before it requests RTDE version {VERSION}"
+            raise ProtocolError(problem)
         elif kind == SET_UP:
             self._set_up_outputs(payload)
         elif kind == SET_UP_INPUTS:
