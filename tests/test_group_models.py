@@ -384,7 +384,7 @@ def test_fk_and_check_list_the_robots_of_a_group(
 
 def test_objects_of_a_group_model_need_a_base_robot(folder: Path) -> None:
     (folder / "hand/group.toml").write_text('[objects.palm]\nshape = "sphere"\nsize = [0.1]\n')
-    reason = "no robot can carry it; expected one that is neither mounted nor mirrored"
+    reason = "no robot can carry the object; expected one that is neither mounted nor mirrored"
     problem = scene_problems(folder, '[groups.h]\nmodel = "hand"\n')[0]
     assert problem == Problem("objects.palm", reason, file="hand/group.toml", line=1)
 

@@ -180,7 +180,10 @@ def test_errors_in_a_scenario_that_extends_another_are_reported(
     [
         ({"force": [0, 0, 1]}, "samples cannot be combined with force"),
         ({"end": None}, "end is required"),
-        ({"samples": [[0.1, 0, 0, 1]]}, "samples: found times [0.1]; expected 0 at first"),
+        (
+            {"samples": [[0.1, 0, 0, 1]]},
+            "samples: found times [0.1]; expected increasing times that start at 0",
+        ),
         ({"samples": [[0.0, 0, 0], [1, 1, 1]]}, "found 2 x 3; expected n x 4 numbers"),
     ],
 )

@@ -257,7 +257,7 @@ def test_targets_beyond_limits_name_joint_and_time() -> None:
         ),
         (
             {"kind": "way_points", "way_points": [[1, 2]], "speed": 0.5},
-            Problem("way_points", "found rows of 2; expected 3 angles, one per joint"),
+            Problem("way_points", "found rows of 2 angles; expected 3, one per joint"),
         ),
         (
             {"kind": "way_points", "way_points": [[1, 1, 0]], "times": [1, 2]},
@@ -341,9 +341,14 @@ def test_invalid_target_motions_are_rejected(law: Any, problem: Problem) -> None
 def test_robot_without_limits_requires_times_or_accelerations() -> None:
     law = {"kind": "way_points", "way_points": [[1, 1, 0]], "speed": 0.5}
     bare = arm(velocity_limits=None)
-    assert refusal(law, bare) == "speed: robot 'arm' has no velocity_limits; expected times here"
+    assert (
+        refusal(law, bare)
+        == "speed: robot 'arm' has no velocity_limits; expected times instead of speed"
+    )
     bare = arm(acceleration_limits=None)
-    message = "speed: robot 'arm' has no acceleration_limits; expected accelerations here"
+    message = (
+        "speed: robot 'arm' has no acceleration_limits; expected accelerations in addition to speed"
+    )
     assert refusal(law, bare) == message
     target_motion_from({**law, "accelerations": 2.0}).sample(np.arange(3.0), bare, ZERO)
 

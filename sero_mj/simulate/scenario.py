@@ -413,7 +413,8 @@ class Scenario:
                 delays[name] = errors.delay
             if len(set(delays.values())) > 1:
                 found = ", ".join(f"{name} {delay}" for name, delay in delays.items())
-                message = f"found {found} steps; expected one delay of {signal} for all robots"
+                message = f"the robots have different delays of {signal} ({found} steps); "
+                message += "expected the same for all"
                 self.problems.append(Problem("sensors", message))
             joined = {key: np.concatenate(values) for key, values in parts.items()}
             # Sensors are read in every physics step, but delays count steps of the controllers.

@@ -273,7 +273,9 @@ class _Members:
     def _add_object(self, name: str, table: dict[str, Any]) -> None:
         key = f"objects.{name}"
         if self._standing is None:
-            message = "no robot can carry it; expected one that is neither mounted nor mirrored"
+            message = (
+                "no robot can carry the object; expected one that is neither mounted nor mirrored"
+            )
             self._wrong(key, message)
             return
         robot, T = self._standing

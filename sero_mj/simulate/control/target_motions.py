@@ -140,7 +140,7 @@ class JointTargetMotion(TargetMotion):
         if value is None:
             raise Problem(key, f"is required; expected {key} or {key}_deg").error()
         if value.shape[-1] != n or not value.size:
-            message = f"found rows of {value.shape[-1]}; expected {n} angles, one per joint"
+            message = f"found rows of {value.shape[-1]} angles; expected {n}, one per joint"
             raise Problem(key, message if value.size else "found no rows").error()
         return np.asarray(value)
 

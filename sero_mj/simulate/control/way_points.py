@@ -145,8 +145,8 @@ class WayPoints(JointTargetMotion):
         limits, rates = robot.velocity_limits, self._accelerations(robot)
         if limits is None or rates is None:
             lacks = "velocity_limits" if limits is None else "acceleration_limits"
-            hint = "times" if limits is None else "accelerations"
-            message = f"robot '{robot.name}' has no {lacks}; expected {hint} here"
+            hint = "times instead of" if limits is None else "accelerations in addition to"
+            message = f"robot '{robot.name}' has no {lacks}; expected {hint} speed"
             raise Problem("speed", message).error()
         speeds = np.array([_path_limit(line, float(self.speed or 1.0) * limits) for line in lines])
         path_rates = np.array([_path_limit(line, rates) for line in lines])
