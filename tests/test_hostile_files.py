@@ -164,7 +164,7 @@ def test_pipe_is_rejected_as_shared_memory(block: str) -> None:
             raises_with(
                 SourceError,
                 source="shm",
-                reason=f"shared memory {block}: not shared memory",
+                reason=f"shared memory {block}: it is a special file, not shared memory",
             ),
             ShmReader(block=block, structure="1F"),
         ):

@@ -89,7 +89,10 @@ def test_unreadable_blocks_are_reported(block: str, monkeypatch: pytest.MonkeyPa
             ShmReader(block=block, structure="1F").open()
     finally:
         os.rmdir(f"/dev/shm{block}")
-    assert str(caught.value) == f"source 'shm': shared memory {block}: not shared memory"
+    assert (
+        str(caught.value)
+        == f"source 'shm': shared memory {block}: it is a special file, not shared memory"
+    )
 
     def refuse(*_: object) -> None:
         raise PermissionError(errno.EACCES, "Permission denied")

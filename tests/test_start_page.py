@@ -195,7 +195,7 @@ def test_recording_is_shown_by_the_scene_of_its_sources(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as told:
         view_of_file(recording, None)
     assert str(told.value) == (
-        "run.mcap: no scene found that has its sources. "
+        "found no scene that has the sources of run.mcap. "
         "Choose one: sero-mj view SCENE --replay run.mcap"
     )
     scene = tmp_path / "mine.toml"

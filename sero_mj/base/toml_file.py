@@ -88,7 +88,7 @@ def _parse(text: str) -> dict[str, Any]:
     try:
         return tomllib.loads(text)
     except RecursionError:
-        raise ValueError("nested too deeply") from None
+        raise ValueError("the tables or lists are nested too deeply") from None
     except tomllib.TOMLDecodeError as error:
         raise ValueError(f"{error}{_hint(text, str(error))}") from None
 

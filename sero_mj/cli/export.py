@@ -60,7 +60,7 @@ class ExportOptions(SceneArgument, ShownOptions):
 
     Attributes:
         scene: file or included name of a scene, scenario, robot or recording.
-        file: output file; same as --output.
+        file: output file (may also be given as --output).
         output: output file; its extension determines the format.
         seconds: duration to export in seconds (default: until the end, or 10 s for live sources).
         begin: start time in the run, in seconds.

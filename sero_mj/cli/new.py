@@ -114,9 +114,9 @@ class NewOptions(Options):
     Attributes:
         name: name of the robot.
         joints: number of joints.
-        like: included name or folder of a robot to copy.
+        like: robot to copy: the name of an included robot, or a folder.
         snippet: name of example code to print instead of writing files.
-        robot: file or included name of the robot in the scene of the snippet.
+        robot: robot in the scene of the snippet: the name of an included robot, or a file.
         host: address at which the robot's computer reaches sero-mj.
         port: UDP port to which the example code sends.
         scene: print the scene or scenario of the snippet instead of the code.

@@ -63,7 +63,7 @@ def view_of_file(path: Path, shown: str | None, source: str | None = None) -> Re
     if errors:
         raise errors[0]
     raise UsageError(
-        f"{path.name}: no scene found that has its sources. "
+        f"found no scene that has the sources of {path.name}. "
         f"Choose one: sero-mj view SCENE --replay {path.name}"
     )
 

@@ -76,7 +76,7 @@ class RecordOptions(SceneArgument, TriggerOptions):
     Attributes:
         scene: file or included name of a scene.
         output: output file; with --trigger, also a folder (default: the current folder).
-        out: output file or folder; same as OUT.mcap.
+        out: output file or folder (may also be given as OUT.mcap).
         duration: recording time in seconds (default: until Ctrl+C).
         signals_rate: rate in Hz of decoded values of each source for other programs; packets
             are always recorded at the full rate.

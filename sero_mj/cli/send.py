@@ -175,7 +175,8 @@ class PlayOptions(Options):
         play: recording (.mcap), table (.csv) or scenario to send instead of a motion.
         speed: playback speed relative to real time, for example 2.
         loop: repeat the playback until Ctrl+C.
-        recorded: recorded source to send (default: source with the same name, or the only source).
+        recorded: source of the recording to send (default: the source of the same name, or the only
+            source).
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
@@ -191,11 +192,11 @@ class ControllerOptions(Options):
     """Options for sending with the protocol of a robot controller.
 
     Attributes:
-        cycle: time between packets, 1 to 100 ms (default: 5).
+        cycle: time between packets in ms, from 1 to 100 (default: 5).
         loss: share of lost packets, 0 to 1.
         quality: reported connection quality: unacceptable, bad, ok, perfect or invalid (default:
             computed from the replies, or ok if the scene sends no replies).
-        seed: seed of the lost packets.
+        seed: seed of the random choice of lost packets.
     """
 
     title: ClassVar[str] = "sending like the controller of a robot"

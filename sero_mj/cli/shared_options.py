@@ -137,7 +137,7 @@ class ReplayOptions(Options):
     Attributes:
         replay: play a recording or a table (.csv) instead of the live sources.
         start: start time in the recording, in seconds (default: the first packet).
-        source: source of a ROS recording that moves the robot, if there are several sources.
+        source: source that moves the robot, if a ROS recording has several sources.
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """
 
@@ -234,8 +234,8 @@ class RunOptions(Options):
     """Options for reading recordings of robots.
 
     Attributes:
-        scene: scene that declares the robots and routes, for tables and for recordings without
-            robots or routes (default: the scene in the recording).
+        scene: scene with the robots and routes, for files that contain none: tables, and some
+            recordings (default: the scene in the recording).
         source: source to read (default: all sources).
         columns: columns of a table, e.g. "joint_angles=q_*" or time=stamp; repeatable.
     """

@@ -40,7 +40,7 @@ class StructureOptions(JsonOptions):
     Attributes:
         structure: layout of a packet, e.g. 7F1M.
         scene: explain the packet layouts of a scene's sources.
-        float32: read F, V, M and T as float32.
+        float32: read the items F, V, M and T as float32.
         row_major: read matrices row by row.
         alignment: alignment of every item in bytes.
         scale: factor by which floating-point numbers are multiplied.

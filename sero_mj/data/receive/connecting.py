@@ -101,7 +101,7 @@ class ConnectingSource(Source):
         except ProtocolError as error:
             if raw := error.received[:_MAX_REJECTED_BYTES]:
                 self.reject(raw, str(error))
-            raise Disconnected(f"{place} {error}") from error
+            raise Disconnected(f"{place}: {error}") from error
         except ConnectionRefusedError as error:
             raise Disconnected(f"{place}: {error.strerror}{self.if_refused}") from error
         except OSError as error:
@@ -134,7 +134,7 @@ def connect(host: str, port: int, wake: socket.socket) -> socket.socket:
             with suppress(BlockingIOError):
                 sock.connect(address)
             if not _wait(wake, sock, selectors.EVENT_WRITE, PATIENCE):
-                raise TimeoutError(errno.ETIMEDOUT, "does not answer")
+                raise TimeoutError(errno.ETIMEDOUT, "the peer does not answer")
             if number := sock.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR):
                 raise OSError(number, os.strerror(number))
         except BaseException as error:

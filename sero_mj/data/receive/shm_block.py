@@ -82,7 +82,7 @@ class Block:
         status = os.fstat(self._fd)
         if sys.platform == "linux" and not stat.S_ISREG(status.st_mode):
             os.close(self._fd)
-            raise OSError("not shared memory")
+            raise OSError("it is a special file, not shared memory")
         self.identity = (status.st_dev, status.st_ino) if status.st_ino else (0, 0)
 
     @property

@@ -108,7 +108,7 @@ class MotionPackets:
                 self._robots[name] = players[name]
             else:
                 near = did_you_mean(name, players or {})
-                raise UsageError(f"there are no signals of robot '{name}'{near}")
+                raise UsageError(f"the sent file has no signals of robot '{name}'{near}")
         self._is_motion = players is None
         self._model = ModelTorques(scene.robots)
 

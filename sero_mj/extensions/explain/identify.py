@@ -137,7 +137,7 @@ def identify(log: RunLog, name: str) -> Identified:
     n = found.robot.n
     if bool(found.motion.slow.all()):
         reason = f"no joint of '{name}' moves"
-        raise UsageError(Problem(log.name, reason, expected="a run that moves it"))
+        raise UsageError(Problem(log.name, reason, expected="a run that moves the robot"))
     motors = [_motor_side(found, log.has(name, "commanded_torques"), k) for k in range(n)]
     payload, offsets, condition, link_fit = _link_side(found)
     joints = [

@@ -334,7 +334,7 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
     # Signals at equidistant times, (T, n) each, with NaN in gaps.
     times = log.times
     if len(times) < 4 or log.timestep <= 0.0:
-        raise UsageError(f"{log.name} has {len(times)} rows of '{name}'; expected a run")
+        raise UsageError(f"{log.name} has {len(times)} rows of '{name}'; expected 4 or more")
     n = log.robots[name].n
     signals = {"q": log.of(name, "joint_angles"), "measured": log.of(name, "torques")}
     missing = np.full((len(times), n), np.nan)

@@ -215,9 +215,10 @@ class FrankaReceiver(ConnectingSource):
             # A server that does not support the requested version sends its own version.
             if not OLDEST <= version <= NEWEST:
                 supported = f"supported versions are {OLDEST} to {NEWEST}"
-                raise ProtocolError(f"has server version {version}; {supported}")
+                raise ProtocolError(f"the robot has server version {version}; {supported}")
             if version in requested:
-                raise ProtocolError(f"rejects version {self._version}, but has version {version}")
+                has = f"has server version {version} and rejects version {self._version}"
+                raise ProtocolError(f"the robot {has}")
             self._version = version
 
     # Returns the version of the server if it rejects the requested one. Otherwise, this method
@@ -233,7 +234,7 @@ class FrankaReceiver(ConnectingSource):
             if status == _INCOMPATIBLE:
                 return version
             if status != _SUCCESS:
-                raise ProtocolError(f"rejects the connection with status {status}")
+                raise ProtocolError(f"the robot rejects the connection with status {status}")
             if not OLDEST <= version <= NEWEST:
                 return version
             peer = connection.socket.getpeername()[0]
@@ -248,23 +249,23 @@ class FrankaReceiver(ConnectingSource):
         hint = "is another client connected?"
         answer = b""
         while True:
-            connection.wait(deadline, f"does not answer; {hint}")
+            connection.wait(deadline, f"the robot does not answer; {hint}")
             try:
                 answer += connection.read()
             except ConnectionError as error:
                 raise ConnectionError(
-                    f"{error.strerror or error} without an answer; {hint}"
+                    f"the robot does not answer ({error.strerror or error}); {hint}"
                 ) from None
             if len(answer) < _HEAD.size:
                 continue
             command, found, size = _HEAD.unpack_from(answer)
             min_size = _HEAD.size + _ANSWER.size
             if (command, found) != (CONNECT, number) or not min_size <= size <= _MAX_BYTES:
-                raise ProtocolError("sends an invalid FCI message", answer)
+                raise ProtocolError("the robot sends an invalid FCI message", answer)
             if len(answer) < size:
                 continue
             if len(answer) > size:
-                raise ProtocolError("sends more than the answer", answer)
+                raise ProtocolError("the robot sends more bytes than one answer", answer)
             status, version = _ANSWER.unpack_from(answer, _HEAD.size)
             return status, version
 
@@ -276,7 +277,7 @@ class FrankaReceiver(ConnectingSource):
         connection.watch(states)
         self.note_connected(f"version {version}")
         port = int(states.getsockname()[1])
-        silent = f"sends no states to UDP port {port}; is it blocked by a firewall?"
+        silent = f"the robot sends no states to UDP port {port}; is it blocked by a firewall?"
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             ready = connection.wait(deadline, silent)
@@ -284,12 +285,12 @@ class FrankaReceiver(ConnectingSource):
                 if batch.dropped is not None:
                     self.counters.dropped = batch.dropped
                 if self._accept_batch(batch, expected):
-                    silent = f"sends nothing for {connecting.PATIENCE:g} s"
+                    silent = f"the robot sends nothing for {connecting.PATIENCE:g} s"
                     deadline = clock.monotonic() + connecting.PATIENCE
                 elif clock.monotonic() > deadline:  # packets of other senders can prevent a timeout
                     raise TimeoutError(silent)
             if connection.socket in ready:
-                raise ProtocolError("sends an unexpected message", connection.read())
+                raise ProtocolError("the robot sends an unexpected message", connection.read())
 
     def _accept_batch(self, batch: Batch, expected: bytes) -> bool:
         rows, lengths, arrivals = batch.rows, batch.lengths, batch.arrivals

@@ -105,7 +105,7 @@ class FriRobot(Controller, ABC):
     def close(self) -> None:
         self._link.close()
         if self.wrong:
-            log.warning("%s: %d packets are not commands", self._link.name, self.wrong)
+            log.warning("%s: %d received packets are not commands", self._link.name, self.wrong)
         self.wrong = 0
 
     @property

@@ -78,7 +78,9 @@ def open_feed(mirror: Mirror, options: OverOptions) -> CameraFeed | VideoFeed:
     file = Path(options.over)
     if not file.is_file() or not sources or any(source.is_live for source in sources):
         if options.offset is not None:
-            raise UsageError("--offset is for a video over a recording or a scenario")
+            raise UsageError(
+                "--offset needs a video file as --over, and a scene that is a recording or scenario"
+            )
         return CameraFeed(options.over, options.camera_file)
     offset = offset_of_video(scene, file, options.camera_file, options.offset)
     return VideoFeed(file, options.camera_file, offset)

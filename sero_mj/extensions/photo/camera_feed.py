@@ -166,7 +166,7 @@ class CameraFeed:
             while not self._closing.is_set():
                 is_read, image = capture.read()
                 if not is_read:
-                    raise RenderError("stopped sending images")
+                    raise RenderError("the camera stopped sending images")
                 self._take(np.ascontiguousarray(image[..., ::-1]))
         finally:
             capture.release()

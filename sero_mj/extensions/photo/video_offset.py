@@ -106,7 +106,7 @@ def _swept(mirror: Mirror, camera: PhotoCamera, fps: float, end: float) -> Cells
             found.append(_cells(cv2.absdiff(now, last)))
         last = now
     if not found:
-        raise UsageError("--offset auto: the recording is too short")
+        raise UsageError("--offset auto: the recording is too short to contain motion")
     return np.stack(found)
 
 

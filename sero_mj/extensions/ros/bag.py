@@ -451,7 +451,7 @@ class Bag(PacketFile):
         try:
             return self._reader.deserialize(raw, connection.msgtype)
         except Exception as error:  # as in the constructor
-            raise MalformedMessage(f"not a {connection.msgtype}: {error}") from error
+            raise MalformedMessage(f"the message is not a {connection.msgtype}: {error}") from error
 
     def _take_static_transforms(
         self, joined: JoinedPackets, source: RosSource, until: float

@@ -47,7 +47,8 @@ def _robot(address: Address, found: Found) -> str:
             begin = shown(found.urdf[:_SHOWN])
             url = f"{SCHEME}{address.host}?robot=NAME"
             raise UsageError(
-                f"the robot_description is not URDF: it begins with {begin}. Name the robot: {url}"
+                f"the robot_description is not URDF: it begins with {begin}. To name an included "
+                f"robot, use {url}"
             )
         return found.urdf
     if len(found.robots) == 1:
@@ -57,7 +58,7 @@ def _robot(address: Address, found: Found) -> str:
         reason = f"{', '.join(found.robots)} have the joints of {found.joint_states}"
     else:
         reason = f"no robot_description is published for {found.joint_states}"
-    raise UsageError(f"{reason}. Name the robot: {url}")
+    raise UsageError(f"{reason}. To name the robot, use {url}")
 
 
 def described_scene(robot: str, source: Mapping[str, Any] | None = None) -> Path:

@@ -52,7 +52,9 @@ class JointTrajectory:
             raise _malformed("positions", "are required in every point")
         times = after + (stamp or now)
         if times[-1] < now:
-            raise _malformed("header.stamp", found=stamp, expected=f"an end after {now:.3f} s")
+            raise _malformed(
+                "header.stamp", found=stamp, expected=f"a trajectory that ends after {now:.3f} s"
+            )
         first = min(int(np.searchsorted(times, now, side="right")), len(times) - 1)
         derivatives = []  # one array per order, shape (1 + points, n)
         for key, begin in zip(_ORDERS, (*entry, np.zeros(len(names))), strict=True):

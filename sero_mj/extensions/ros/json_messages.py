@@ -43,12 +43,14 @@ def joint_state_of(raw: bytes) -> Any:
     except UnicodeDecodeError as error:
         begin = raw[:_SHOWN_BYTES].hex(" ")
         reason = f"byte {error.start} is not UTF-8; it begins with the bytes {begin}"
-        raise MalformedMessage(f"not JSON: {reason}") from None
+        raise MalformedMessage(f"the message is not JSON: {reason}") from None
     try:
         found = json.loads(text)
     except (ValueError, RecursionError) as error:
         begin = printable(text[:_SHOWN])
-        raise MalformedMessage(f"not JSON: {error}; it begins with {begin}") from None
+        raise MalformedMessage(
+            f"the message is not JSON: {error}; it begins with {begin}"
+        ) from None
     if isinstance(found, Mapping) and isinstance(found.get("msg"), Mapping):
         found = found["msg"]
     if not isinstance(found, Mapping):

@@ -45,4 +45,4 @@ def decode(raw: bytes, kind: str, max_bytes: int = MAX_BYTES) -> Any:
     try:
         return type_store().deserialize_cdr(raw, kind)
     except (SerdeError, UnicodeDecodeError, MemoryError) as error:
-        raise MalformedMessage(f"not a {kind}: {error}") from error
+        raise MalformedMessage(f"the message is not a {kind}: {error}") from error

@@ -130,10 +130,10 @@ class RtdeReceiver(ConnectingSource):
     # Returns immediately if the controller lacks variables, otherwise receives until an error.
     def _run_session(self, connection: _Connection, omitted: frozenset[str]) -> frozenset[str]:
         if connection.request(ASK_VERSION, struct.pack(">H", VERSION), self._on_text) != b"\1":
-            raise ProtocolError("does not accept version 2 of RTDE")
+            raise ProtocolError("the robot does not accept version 2 of RTDE")
         answer = connection.request(ASK_CONTROLLER, b"", self._on_text)
         if len(answer) != 16:
-            raise ProtocolError("sends an invalid version", answer)
+            raise ProtocolError("the robot sends an invalid controller version", answer)
         version = struct.unpack(">4I", answer)
         max_rate = 500.0 if version[0] >= 5 else 125.0
         rate = min(self.frequency or max_rate, max_rate)
@@ -142,14 +142,15 @@ class RtdeReceiver(ConnectingSource):
         answer = connection.request(SET_UP, struct.pack(">d", rate) + names, self._on_text)
         found = answer[1:].decode("ascii", "replace").split(",")
         if len(found) != len(recipe):
-            raise ProtocolError(f"sends {len(found)} types for {len(recipe)} variables", answer)
+            text = f"the robot sends {len(found)} types for {len(recipe)} variables"
+            raise ProtocolError(text, answer)
         missing = self._check_types(recipe, found)
         if missing:
             if len(missing) == len(recipe):
-                raise ProtocolError("has none of the required variables")
+                raise ProtocolError("the robot has none of the required variables")
             return missing
         if connection.request(START, b"", self._on_text) != b"\1":
-            raise ProtocolError("does not start to send")
+            raise ProtocolError("the robot does not start to send data")
         self.note_connected(f"{rate:g} Hz")
         if MEASURED in omitted and COMMANDED not in omitted:
             self._state += ", torques are commanded, not measured"
@@ -185,7 +186,8 @@ class RtdeReceiver(ConnectingSource):
         if kind == TEXT:
             self._on_text(payload)
         elif kind != DATA:
-            raise ProtocolError(f"sends message {chr(kind)} between data packages", payload)
+            text = f"the robot sends a message of type {chr(kind)} between data packages"
+            raise ProtocolError(text, payload)
         return kind == DATA
 
     def _on_text(self, payload: bytes) -> None:
@@ -213,7 +215,7 @@ def split_messages(received: bytes, kinds: Collection[int]) -> Iterator[tuple[in
     while len(received) - at >= HEAD.size:
         size, kind = HEAD.unpack_from(received, at)
         if not HEAD.size <= size <= MAX_BYTES or kind not in kinds:
-            text = f"sends an invalid RTDE message: {size} bytes of type {kind}"
+            text = f"an RTDE message is invalid: {size} bytes of type {kind}"
             raise ProtocolError(text, received[at:])
         if len(received) - at < size:
             return
@@ -232,20 +234,21 @@ class _Connection(Connection):
         deadline = clock.monotonic() + connecting.PATIENCE
         while True:
             while not self._messages:
-                self._read(deadline, f"does not answer request {chr(kind)}")
+                self._read(deadline, f"the robot does not answer request {chr(kind)}")
             found, payload = self._messages.popleft()
             if found == kind:
                 return payload
             if found != TEXT:
-                raise ProtocolError(f"answers request {chr(kind)} with {chr(found)}", payload)
+                text = f"the robot answers request {chr(kind)} with {chr(found)}"
+                raise ProtocolError(text, payload)
             on_text(payload)
             if clock.monotonic() > deadline:
-                raise TimeoutError(f"does not answer request {chr(kind)}")
+                raise TimeoutError(f"the robot does not answer request {chr(kind)}")
 
     def receive(self) -> list[tuple[int, bytes]]:
         deadline = clock.monotonic() + connecting.PATIENCE
         while not self._messages:
-            self._read(deadline, f"sends nothing for {connecting.PATIENCE:g} s")
+            self._read(deadline, f"the robot sends nothing for {connecting.PATIENCE:g} s")
         messages = [*self._messages]
         self._messages.clear()
         return messages

@@ -213,7 +213,12 @@ class RtdeRobot(Controller):
     def reject(self, reason: str) -> None:
         self.wrong += 1
         if self._is_new(_NUMBER.sub("#", reason)):
-            log.warning("%s: rejected at %.3f s: %s", self._model.name, self._time, reason)
+            log.warning(
+                "%s: a message or command was rejected at %.3f s: %s",
+                self._model.name,
+                self._time,
+                reason,
+            )
 
     def take_script(self, text: bytes) -> None:
         if b"rtde_control" in text:
@@ -413,7 +418,7 @@ class RtdeRobot(Controller):
             raise self._error(time, what)
         self.silent += 1
         if not self._is_silent:
-            log.warning("%s: no answer to the package at %.3f s", self._model.name, time)
+            log.warning("%s: no client answers the package at %.3f s", self._model.name, time)
         self._is_silent = True
 
     def _check_silence(self, sensed: Sensed) -> None:
@@ -422,7 +427,9 @@ class RtdeRobot(Controller):
             return
         name = self._model.name
         if commander not in self._server.peers:
-            log.warning("%s: the commanding client left at %.3f s; the robot holds", name, time)
+            log.warning(
+                "%s: the commanding client left at %.3f s; the robot holds its position", name, time
+            )
             self._commander = None
             self._is_silent = False
             self._received_inputs.clear()
@@ -436,7 +443,12 @@ class RtdeRobot(Controller):
             is_silent = age > self._declared.patience and motion.mode in (SERVOS, SPEEDS, TORQUES)
             self.silent += is_silent
             if is_silent and not self._is_silent:
-                log.warning("%s: no command for %.3f s at %.3f s; the robot holds", name, age, time)
+                log.warning(
+                    "%s: no command for %.3f s at %.3f s; the robot holds its position",
+                    name,
+                    age,
+                    time,
+                )
             elif self._is_silent and not is_silent:
                 log.warning("%s: commands resume at %.3f s", name, time)
             self._is_silent = is_silent

@@ -91,7 +91,7 @@ class Peer(ABC):
         """Receives and handles bytes. Raises OSError or ProtocolError."""
         more = self.socket.recv(65536)
         if not more:
-            raise ConnectionError("it closed the connection")
+            raise ConnectionError("the client closed the connection")
         self._received = self.handle(self._received + more)
 
     def send(self, message: bytes) -> None:
@@ -175,7 +175,8 @@ class RtdePeer(Peer):
                 f"message of client {self.name}: {text.decode('utf-8', 'replace')}"
             )
         elif not self._has_version:
-            raise ProtocolError(f"sends {chr(kind)} before it requests RTDE version {VERSION}")
+            problem = f"the client sends {chr(kind)} before it requests RTDE version {VERSION}"
+            raise ProtocolError(problem)
         elif kind == SET_UP:
             self._set_up_outputs(payload)
         elif kind == SET_UP_INPUTS:
@@ -194,7 +195,8 @@ class RtdePeer(Peer):
 
     def _set_up_outputs(self, payload: bytes) -> None:
         if len(payload) < 8:
-            raise ProtocolError(f"sets up outputs in {len(payload)} bytes")
+            text = f"a request to set up outputs has {len(payload)} bytes; expected at least 8"
+            raise ProtocolError(text)
         (rate,) = struct.unpack_from(">d", payload)
         recipe = Recipe(payload[8:], OUTPUTS, frozenset())
         self.is_started = self.is_awaited = False
@@ -242,7 +244,7 @@ class DashboardPeer(Peer):
     def handle(self, received: bytes) -> bytes:
         *lines, rest = received.split(b"\n")
         if len(rest) > MAX_BYTES:
-            raise ProtocolError(f"sends a line of more than {MAX_BYTES} bytes")
+            raise ProtocolError(f"the client sends a line of more than {MAX_BYTES} bytes")
         for line in lines:
             self.send(self._answer_to(line.decode("utf-8", "replace").strip()).encode() + b"\n")
         return rest
@@ -394,7 +396,7 @@ class RtdeServer:
         except BlockingIOError:
             pass
         except ProtocolError as error:
-            self.robot.reject(f"client {peer.name} {error}")
+            self.robot.reject(f"client {peer.name}: {error}")
             self._drop(peer, "")
         except OSError as error:
             is_reported = isinstance(peer, RtdePeer)

@@ -122,7 +122,7 @@ class Recipe:
         """Returns the decoded values by name. Raises ValueError if a number is not finite."""
         numbers = self._struct.unpack(data)
         if not np.isfinite(numbers).all():
-            raise ValueError("not finite")
+            raise ValueError("the package contains a number that is not finite")
         found: dict[str, Any] = {}
         at = 0
         for name, count in zip(self.names, self._counts, strict=True):

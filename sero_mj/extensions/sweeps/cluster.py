@@ -214,8 +214,10 @@ class _Run:
         self._refused |= set(differing)
         for worker, text in differing.items():
             if not self._of or not self._count:
-                raise ClusterError(self._address, f"worker {worker} differs: {text}")
-            log.warning("worker %s differs and is not used: %s", worker, text)
+                raise ClusterError(
+                    self._address, f"worker {worker} differs from this machine: {text}"
+                )
+            log.warning("worker %s differs from this machine and is not used: %s", worker, text)
 
     def _hand_out(self) -> None:
         from .cluster_worker import run_tasks

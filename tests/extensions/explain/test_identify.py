@@ -302,7 +302,7 @@ def test_runs_without_torques_or_motion_are_rejected() -> None:
     ):
         identify(RunLog(log.robots, angles, log.times, "silent"), "lwr")
     still = {**log.signals, "lwr_joint_angles": np.tile(HOME, (len(log.times), 1))}
-    expected = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves it"}
+    expected = {"reason": "no joint of 'lwr' moves", "expected": "a run that moves the robot"}
     with raises_with(UsageError, key="still", **expected):
         identify(RunLog(log.robots, still, log.times, "still"), "lwr")
 

@@ -168,20 +168,29 @@ def test_missing_states_are_counted_as_lost(server: FrankaServer) -> None:
 @pytest.mark.parametrize(
     ("said", "trouble", "counted"),
     [
-        (b"HTTP/1.1 400 Bad Request\r\n", " sends an invalid FCI message", 1),
-        (answer(command=1), " sends an invalid FCI message", 1),
-        (answer(number=2), " sends an invalid FCI message", 1),
-        (struct.pack("<III", 0, 1, 12), " sends an invalid FCI message", 1),
-        (struct.pack("<III", 0, 1, 2**31), " sends an invalid FCI message", 1),
-        (answer() + b"x", " sends more than the answer", 1),
-        (answer(status=2), " rejects the connection with status 2", 0),
-        (answer(1, version=11), " has server version 11; supported versions are 3 to 10", 0),
-        (answer(1, version=2), " has server version 2; supported versions are 3 to 10", 0),
-        (answer(0, version=11), " has server version 11; supported versions are 3 to 10", 0),
-        (answer(1, version=10), " rejects version 10, but has version 10", 0),
+        (b"HTTP/1.1 400 Bad Request\r\n", "the robot sends an invalid FCI message", 1),
+        (answer(command=1), "the robot sends an invalid FCI message", 1),
+        (answer(number=2), "the robot sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 12), "the robot sends an invalid FCI message", 1),
+        (struct.pack("<III", 0, 1, 2**31), "the robot sends an invalid FCI message", 1),
+        (answer() + b"x", "the robot sends more bytes than one answer", 1),
+        (answer(status=2), "the robot rejects the connection with status 2", 0),
+        (
+            answer(1, version=11),
+            "the robot has server version 11; supported versions are 3 to 10",
+            0,
+        ),
+        (answer(1, version=2), "the robot has server version 2; supported versions are 3 to 10", 0),
+        (
+            answer(0, version=11),
+            "the robot has server version 11; supported versions are 3 to 10",
+            0,
+        ),
+        (answer(1, version=10), "the robot has server version 10 and rejects version 10", 0),
         (
             b"",
-            ": the peer closed the connection without an answer; is another client connected?",
+            "the robot does not answer (the peer closed the connection); "
+            "is another client connected?",
             0,
         ),
     ],
@@ -190,7 +199,7 @@ def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, cou
     with FrankaServer(answers=[said] * 3) as server, receiver_of(server) as receiver:
         seen = set()
         assert until(lambda: seen.add(receiver.trouble) or server.started.is_set())
-        assert seen - {""} == {f"127.0.0.1:{server.port}{trouble}"}
+        assert seen - {""} == {f"127.0.0.1:{server.port}: {trouble}"}
         assert until(lambda: receiver.trouble == "")
         assert receiver.counters.received == receiver.counters.malformed == 3 * counted
         give(receiver, server, server.state(q=SEVEN))
@@ -201,7 +210,7 @@ def test_protocol_errors_are_reported_and_retried(said: bytes, trouble: str, cou
 def test_two_versions_that_refer_to_each_other_cause_no_endless_loop() -> None:
     said = [answer(1, version=9), answer(1, version=10)]
     with FrankaServer(answers=said) as server, receiver_of(server) as receiver:
-        told = f"127.0.0.1:{server.port} rejects version 9, but has version 10"
+        told = f"127.0.0.1:{server.port}: the robot has server version 10 and rejects version 9"
         assert until(lambda: receiver.trouble == told or server.started.is_set())
         assert until(server.started.is_set)
         assert [question[12] for question in server.asked] == [10, 9, 9, 10]
@@ -265,11 +274,13 @@ def test_stalled_robot_is_disconnected(
 
     with receiver_of(server):
         where = f"127.0.0.1:{server.port}: "
-        assert until(lambda: is_told(f"{where}does not answer; is another client connected?"))
-        assert until(lambda: is_told(f"{where}sends no states to UDP port "))
+        assert until(
+            lambda: is_told(f"{where}the robot does not answer; is another client connected?")
+        )
+        assert until(lambda: is_told(f"{where}the robot sends no states to UDP port "))
         assert is_told("; is it blocked by a firewall?")
         server.on_start = lambda: server.send(server.state())
-        assert until(lambda: is_told(f"{where}sends nothing for 0.05 s"))
+        assert until(lambda: is_told(f"{where}the robot sends nothing for 0.05 s"))
 
 
 def test_robot_that_disconnects_is_connected_again(server: FrankaServer) -> None:

@@ -114,7 +114,7 @@ def test_video_follows_the_scenario_time_or_is_a_camera_for_live_scenes(
     assert feed.piece[0] == "v.mp4: starts in 0.5 s"
     feed.close()
     for scene in ("lwr_udp", "lwr"):  # live, and without sources
-        with pytest.raises(UsageError, match="--offset is for a video over a recording"):
+        with pytest.raises(UsageError, match="--offset needs a video file as --over"):
             open_feed(Mirror(read_scene(scene)), options)
         feed = open_feed(Mirror(read_scene(scene)), options.model_copy(update={"offset": None}))
         assert isinstance(feed, CameraFeed)

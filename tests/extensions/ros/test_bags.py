@@ -570,7 +570,9 @@ def test_check_and_status_accept_a_bag_like_view(kind: str, tmp_path: Path, caps
     other = write_bag(tmp_path / "other", {"/joint_states": states(names=list("abcdefg"))})
     status, _, told = run(capsys, "check", str(other))
     assert (
-        status == 2 and "no scene found that has its sources" in told and "--replay other" in told
+        status == 2
+        and "found no scene that has the sources of" in told
+        and "--replay other" in told
     )
 
 

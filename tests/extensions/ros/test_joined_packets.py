@@ -54,9 +54,9 @@ class Heard(Listener):
         (joint_state(ARM, (np.nan, 2)), "joint_angles[0] is nan"),
         (joint_state(ARM, (1, np.inf)), "joint_angles[1] is inf"),
         (encoded(GOOD)[:-3], "smaller"),
-        (encoded(GOOD)[:20], "not a sensor_msgs/msg/JointState"),
-        (b"", "not a sensor_msgs/msg/JointState"),
-        (b"\0\1\0\0" + b"\xff" * 100, "not a sensor_msgs/msg/JointState"),
+        (encoded(GOOD)[:20], "the message is not a sensor_msgs/msg/JointState"),
+        (b"", "the message is not a sensor_msgs/msg/JointState"),
+        (b"\0\1\0\0" + b"\xff" * 100, "the message is not a sensor_msgs/msg/JointState"),
         (
             encoded(joint_state([f"j{i}" for i in range(60_000)], np.zeros(60_000))),
             "bytes; expected",

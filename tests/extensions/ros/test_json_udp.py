@@ -64,10 +64,10 @@ def test_message_of_many_joints_is_received_whole(hand: JsonUdp) -> None:
 @pytest.mark.parametrize(
     ("message", "why"),
     [
-        (b"{", "not JSON: "),
-        (b"{\xff", "not JSON: byte 1 is not UTF-8; it begins with the bytes 7b ff"),
-        (b"{\x00", "not JSON: Expecting property name enclosed in double quotes"),
-        (b"[" * 50_000, "not JSON: "),
+        (b"{", "the message is not JSON: "),
+        (b"{\xff", "the message is not JSON: byte 1 is not UTF-8; it begins with the bytes 7b ff"),
+        (b"{\x00", "the message is not JSON: Expecting property name enclosed in double quotes"),
+        (b"[" * 50_000, "the message is not JSON: "),
         ([1], "found a list; expected a JSON object"),
         ({"q": [1]}, "found the keys q; expected name, position, velocity and effort, or joints"),
         ({"name": "1", "position": [1]}, "joint names are not a list of strings"),

@@ -257,19 +257,19 @@ def test_ur_rtde_reads_the_same_from_the_same_controller() -> None:
     ("answers", "trouble", "counted"),
     [
         ({"V": b"HTTP/1.1 400 Bad Request\r\n"},
-         "sends an invalid RTDE message: 18516 bytes of type 84", 1),
-        ({"V": bytes(3)}, "sends an invalid RTDE message: 0 bytes of type 0", 1),
-        ({"V": b"\xff\xffU"}, "sends an invalid RTDE message: 65535 bytes of type 85", 1),
-        ({"V": message("V", b"\0")}, "does not accept version 2 of RTDE", 0),
-        ({"V": message("v", bytes(16))}, "answers request V with v", 1),
-        ({"v": message("v", bytes(3))}, "sends an invalid version", 1),
-        ({"O": message("O", b"\1DOUBLE")}, "sends 1 types for 10 variables", 1),
-        ({"O": message("O", b"")}, "sends 1 types for 10 variables", 0),
+         "an RTDE message is invalid: 18516 bytes of type 84", 1),
+        ({"V": bytes(3)}, "an RTDE message is invalid: 0 bytes of type 0", 1),
+        ({"V": b"\xff\xffU"}, "an RTDE message is invalid: 65535 bytes of type 85", 1),
+        ({"V": message("V", b"\0")}, "the robot does not accept version 2 of RTDE", 0),
+        ({"V": message("v", bytes(16))}, "the robot answers request V with v", 1),
+        ({"v": message("v", bytes(3))}, "the robot sends an invalid controller version", 1),
+        ({"O": message("O", b"\1DOUBLE")}, "the robot sends 1 types for 10 variables", 1),
+        ({"O": message("O", b"")}, "the robot sends 1 types for 10 variables", 0),
         ({"O": message("O", b"\0" + b",".join([b"NOT_FOUND"] * 10))},
-         "has none of the required variables", 0),
-        ({"S": message("S", b"\0")}, "does not start to send", 0),
+         "the robot has none of the required variables", 0),
+        ({"S": message("S", b"\0")}, "the robot does not start to send data", 0),
         ({"S": message("S", b"\1") + message("S", b"\1")},
-         "sends message S between data packages", 1),
+         "the robot sends a message of type S between data packages", 1),
     ],
 )  # fmt: skip
 def test_protocol_errors_are_reported_and_retried(
@@ -277,7 +277,7 @@ def test_protocol_errors_are_reported_and_retried(
 ) -> None:
     with RtdeServer(answers=answers) as server, receiver_of(server) as receiver:
         assert until(lambda: receiver.trouble != "" and server.connections > 1)
-        assert receiver.trouble == f"127.0.0.1:{server.port} {trouble}"
+        assert receiver.trouble == f"127.0.0.1:{server.port}: {trouble}"
         assert (receiver.counters.received > 0) == bool(counted)
         assert receiver.counters.malformed == receiver.counters.received
         assert receiver.latest() is None
@@ -320,9 +320,9 @@ def test_stalled_peer_is_disconnected(server: RtdeServer, monkeypatch: pytest.Mo
     monkeypatch.setattr(connecting, "PATIENCE", 0.05)
     with receiver_of(server) as receiver:
         server.answers["v"] = b""
-        assert until(lambda: receiver.trouble.endswith(": does not answer request v"))
+        assert until(lambda: receiver.trouble.endswith(": the robot does not answer request v"))
         del server.answers["v"]
-        assert until(lambda: receiver.trouble.endswith(": sends nothing for 0.05 s"))
+        assert until(lambda: receiver.trouble.endswith(": the robot sends nothing for 0.05 s"))
         assert receiver.counters.received == 0
 
 

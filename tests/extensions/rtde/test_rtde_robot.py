@@ -334,7 +334,7 @@ def test_sleeping_client_is_silent_until_it_answers_again(
         SILENT,
     }
     assert states[-1] == COMMANDED
-    assert "no answer to the package at 0.098 s" in caplog.text
+    assert "no client answers the package at 0.098 s" in caplog.text
     assert caplog.text.count("answers again") == 1
     assert np.abs(logged(simulation, "joint_angles") - HOME).max() < 1e-3
 
