@@ -389,7 +389,7 @@ def test_tile_and_dropped_folder_are_opened_in_a_browser(
             ran = tmp_path / "ran"
             page.evaluate(_DROP, {"r/evil.toml": base64.b64encode(evil(ran)).decode()})
             page.wait_for_function("() => document.title === 'evil - sero-mj'", timeout=60_000)
-            dialog = page.get_by_role("dialog", name="This file asks to run programs")
+            dialog = page.get_by_role("dialog", name="This file requests to run programs")
             dialog.get_by_text(f"run the program touch {ran} '{{port}}'").wait_for()
             dialog.get_by_role("button", name="display only").click()
             dialog.wait_for(state="hidden")
