@@ -7,6 +7,7 @@ from typing import Any, ClassVar, Literal
 import pytest
 
 import sero_mj
+from sero_mj.cli import translated
 from sero_mj.simulate.control.controller import ControllerDeclaration
 from sero_mj.viewer.session.tool import Tool
 
@@ -17,6 +18,11 @@ from sero_mj.viewer.session.tool import Tool
 def test_earlier_function_is_the_current_one(old: str, new: str) -> None:
     with pytest.warns(DeprecationWarning, match=new):
         assert getattr(sero_mj, old) is getattr(sero_mj, new)
+
+
+def test_earlier_option_is_the_current_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert translated(["view", "lwr", "--finish-films"]) == ["view", "lwr", "--finish-videos"]
+    assert "--finish-videos" in capsys.readouterr().err
 
 
 def test_earlier_method_of_a_tool_is_called_by_its_current_name() -> None:

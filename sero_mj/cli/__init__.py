@@ -168,8 +168,15 @@ _OLD: Mapping[str, tuple[str, Callable[[list[str]], list[str]]]] = {
 }
 
 
+_OLD_OPTIONS: Mapping[str, str] = {"--finish-films": "--finish-videos"}
+
+
 def translated(arguments: list[str]) -> list[str]:
-    """Replaces the old name of a renamed command in a command line, and prints a note."""
+    """Replaces the old names of a command and its options in a command line, and prints a note."""
+    for old in _OLD_OPTIONS.keys() & {*arguments}:
+        note = f"note: {old} is now {_OLD_OPTIONS[old]}; 0.2 still accepts the old name"
+        print(note, file=sys.stderr)
+    arguments = [_OLD_OPTIONS.get(each, each) for each in arguments]
     name, *rest = arguments
     if name not in _OLD or name in plugins(COMMANDS):
         return arguments

@@ -64,7 +64,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
             needs no declared gains (default: joint).
         size: size of the window in pixels (default: 1280x800).
         full_screen: show the window on the whole screen.
-        finish_films: finish rendering the videos of recorded clips (key K) after closing.
+        finish_videos: finish rendering the videos of recorded clips (key K) after closing.
         fresh: show the scene as declared instead of restoring the last view.
         trust: folder whose scenarios may start programs, even if a scenario is dropped on the page
             or opened there; repeatable.
@@ -83,7 +83,7 @@ class ViewOptions(EyeOptions, OverOptions, ShownOptions):
     control: Annotated[str | None, Option("KIND")] = None
     size: Size | None = None
     full_screen: bool = False
-    finish_films: bool = False
+    finish_videos: bool = False
     fresh: bool = False
     trust: Annotated[list[Path], Option("FOLDER")] = []
     over: Annotated[str | None, Option("CAMERA")] = None
@@ -307,7 +307,7 @@ class Session:
             host.others.ask(self.plain.withheld, lambda: self.open(RecentView(name)))
         for tool in host.tools.values():
             if isinstance(tool, RollingRecorder):
-                tool.finishes_videos = self.options.finish_films
+                tool.finishes_videos = self.options.finish_videos
         if self._warnings:
             more = f" (and {len(self._warnings) - 1} more)" if len(self._warnings) > 1 else ""
             # The folder is omitted, so that the message fits.
