@@ -53,7 +53,7 @@ class JointTree(ABC):
 
     @abstractmethod
     def step_lengths(self) -> Array:
-        """Returns |a| + |d| of each DH row, or distances between joint frames, shape (n,), m."""
+        """Returns `abs(a) + abs(d)` of each DH row, or the joint distances, shape (n,), m."""
 
     @abstractmethod
     def distances(self, extensions: ArrayLike = 0.0) -> Array:
