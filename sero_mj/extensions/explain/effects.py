@@ -30,7 +30,7 @@ _TRIED_LEVELS = np.geomspace(0.05, 0.95, 20)
 _LEVEL_STEPS = (0.93, 0.98, 0.995, 1.005, 1.02, 1.07)
 _MIN_RANGE = 0.1  # rad or m, of the angles at which a spring is visible
 _MIN_INERTIA = 0.15  # share of the declared motor inertia
-_MIN_SIGN_CHANGES = 0.05  # share of rows with the less frequent sign of the torque
+_MAX_SIGN = 0.9  # magnitude of the mean sign of a torque at which backlash is visible
 _MAX_OFFSET = 0.2  # rad or m, of an encoder offset with a linear effect
 # Prior standard deviations in SI units.
 _PAYLOAD = np.array([5.0, *3 * [1.0], *6 * [0.3]])
@@ -266,11 +266,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
                          place=name, torques=_by_deflection(found, joint), is_constant=True,
                          allowed=(0.0, np.inf)),
         ]  # fmt: skip
-        if (
-            2.0 * _MIN_SIGN_CHANGES
-            < 1.0 + np.nanmean(np.sign(torque))
-            < 2.0 - 2.0 * _MIN_SIGN_CHANGES
-        ):
+        if abs(np.nanmean(np.sign(torque))) < _MAX_SIGN:
             effects.append(CommonEffect(
                 "backlash", "joint", np.array([_BACKLASH]), _scaled(2.0 * scale, unit),
                 place=name, torques=-by_angle * np.sign(torque), is_constant=True,

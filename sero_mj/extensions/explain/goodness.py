@@ -17,20 +17,19 @@ from ...base.frames import Array, Bools
 
 _FOLDS = 5
 _NOISE = 2.0  # mean square of residuals that is attributed to noise, in squared standard deviations
-# Shares of the torque that remain unexplained, and the highest confidence with each.
 _OF_SMALL, _LARGE = 0.6, 0.5  # highest confidence of a tiny fault; ratio without a limit
+# Shares of the torque that remain unexplained, and the highest confidence with each.
 _SHARES = (0.0, 0.03, 0.06, 0.1, 0.2, 0.35, 0.5, 1.0)
 _CONFIDENCES = (0.99, 0.99, 0.92, 0.8, 0.65, 0.5, 0.3, 0.0)
 
 
-def unexplained_share(y: Array, X: Array, priors: Array, noise: float = _NOISE) -> float:
+def unexplained_share(y: Array, X: Array, priors: Array) -> float:
     """Returns the share of residuals that a fault does not predict, from 0 to 1.
 
     Args:
         y: residuals while the fault acts, shape (c, K), in standard deviations; 0 if unknown.
         X: effects of the fault's parameters on the residuals, shape (c, K, p).
         priors: prior standard deviations of the parameters, shape (p,).
-        noise: mean square of residuals without a fault.
     """
     rows = y.shape[1]
     before = float((y * y).sum())
@@ -43,7 +42,7 @@ def unexplained_share(y: Array, X: Array, priors: Array, noise: float = _NOISE) 
         H = np.einsum("ckp,ckq->pq", X[:, rest], X[:, rest]) + np.diag(1.0 / priors**2)
         phi = np.linalg.solve(H, np.einsum("ckp,ck->p", X[:, rest], y[:, rest]))
         after += float(((y[:, held] - X[:, held] @ phi) ** 2).sum())
-    excess = max(after - noise * count, 0.0)
+    excess = max(after - _NOISE * count, 0.0)
     return min(np.sqrt(excess / before), 1.0) if before > 0.0 else 0.0
 
 

@@ -39,7 +39,7 @@ def link_torques(
         v: joint velocities, shape (K, n).
         a: joint accelerations, shape (K, n).
         gravity: gravity in the world, shape (3,), m/s2; None for the declared gravity.
-        model: `link_model` of the robot, if it is already known.
+        model: `link_model` of the robot, if it is already known; `gravity` is set in it.
     """
     model = model or link_model(robot)
     if gravity is not None:
@@ -55,18 +55,20 @@ def link_torques(
 
 def torques_by_angle(robot: SerialRobot, q: Array, v: Array, a: Array) -> Array:
     """Returns derivatives of `link_torques` with respect to each joint value, shape (K, n, n)."""
-    found = np.empty((len(q), robot.n, robot.n))
+    found, model = np.empty((len(q), robot.n, robot.n)), link_model(robot)
     for j, shift in enumerate(_ANGLE_STEP * np.eye(robot.n)):
-        more, less = (link_torques(robot, q + side * shift, v, a) for side in (1.0, -1.0))
+        more, less = (
+            link_torques(robot, q + side * shift, v, a, model=model) for side in (1.0, -1.0)
+        )
         found[:, :, j] = (more - less) / (2.0 * _ANGLE_STEP)
     return found
 
 
 def mass_matrices(robot: SerialRobot, q: Array) -> Array:
     """Returns M(q) without motor inertias, shape (K, n, n)."""
-    still = np.zeros_like(q)
+    still, model = np.zeros_like(q), link_model(robot)
     columns = [
-        link_torques(robot, q, still, np.broadcast_to(unit, q.shape), np.zeros(3))
+        link_torques(robot, q, still, np.broadcast_to(unit, q.shape), np.zeros(3), model)
         for unit in np.eye(robot.n)
     ]
     return np.stack(columns, axis=-1)
@@ -74,8 +76,10 @@ def mass_matrices(robot: SerialRobot, q: Array) -> Array:
 
 def torques_by_gravity(robot: SerialRobot, q: Array) -> Array:
     """Returns link torques at rest per m/s2 of gravity along each world axis, shape (K, n, 3)."""
-    still = np.zeros_like(q)
-    return np.stack([link_torques(robot, q, still, still, axis) for axis in np.eye(3)], axis=-1)
+    still, model = np.zeros_like(q), link_model(robot)
+    return np.stack(
+        [link_torques(robot, q, still, still, axis, model) for axis in np.eye(3)], axis=-1
+    )
 
 
 def body_torques(

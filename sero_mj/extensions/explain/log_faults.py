@@ -27,8 +27,8 @@ from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog, event_of
 from ...study.explanation import ALL_JOINTS, MAX_CONFIDENCE, Explanation, Kind, Part
 from .goodness import limited
-from .link_torques import link_model, link_torques
-from .torque_residuals import TorqueResiduals
+from .link_torques import link_model, link_torques, torques_by_gravity
+from .torque_residuals import TorqueResiduals, is_coupled
 
 _ROWS = 60  # rows at which hypotheses are judged
 _MIN_ROWS = 12
@@ -156,8 +156,7 @@ class _Rows:
             return None
         rows = rows[np.linspace(0, len(rows) - 1, min(_ROWS, len(rows))).astype(int)]
         robot = found.robot
-        coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
-        known = np.array([name not in coupled for name in robot.names])
+        known = ~is_coupled(robot)
         judged = np.stack([known & found.has_model, known & has_commands])
         return cls(robot, motion.links[:, rows], np.nan_to_num(motor[rows]),
                    np.nan_to_num(torques[:, rows]), found.torques.payload[rows],
@@ -398,7 +397,12 @@ class _Trial:
             lefts += [
                 (_without_common(link, self.rows.payload, weights), _PRICE_OF_FIT),
                 (_without_common(link, self.model[..., None], weights, _MAX_MASSES), _PRICE),
-                (_without_common(link, self._by_gravity(), weights), _PRICE),
+                (
+                    _without_common(
+                        link, torques_by_gravity(self.rows.robot, self.rows.motion[0]), weights
+                    ),
+                    _PRICE,
+                ),
             ]
             offsets = self._fitted(range(self.n), np.zeros(self.n), self._shifted)
             motions = [self._shifted(joint, offset) for joint, offset in enumerate(offsets)
@@ -426,13 +430,6 @@ class _Trial:
         squares = np.nan_to_num(left**2).mean(axis=0) + self.rows.noise**2
         shares = squares / self._sizes(self.rows.torques[0], other)
         return np.asarray(np.log(shares + _EQUAL[side] ** 2))
-
-    def _by_gravity(self) -> Array:
-        # Link torques per component of gravity in the world frame, (K, n, 3).
-        q = self.rows.motion[0]
-        still = np.zeros_like(q)
-        columns = [link_torques(self.rows.robot, q, still, still, axis) for axis in np.eye(3)]
-        return np.stack(columns, axis=-1)
 
     # Fits
 

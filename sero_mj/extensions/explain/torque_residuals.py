@@ -358,11 +358,16 @@ def _apparent_inertias(robot: SerialRobot, dynamics: RobotDynamics) -> Array:
     return np.broadcast_to(apparent, robot.n)
 
 
+def is_coupled(robot: SerialRobot) -> Bools:
+    """Returns whether each joint shares its drive with another one, shape (n,)."""
+    coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
+    return np.array([name in coupled for name in robot.names])
+
+
 def _only_of_links(robot: SerialRobot, q: Array, measured: Array) -> Array:
     # Measured torques; NaN at end stops, and for coupled joints, which share a drive.
     free = np.where(_at_stops(robot, q), np.nan, measured)
-    coupled = {*robot.couplings, *(each.to for each in robot.couplings.values())}
-    free[:, [name in coupled for name in robot.names]] = np.nan
+    free[:, is_coupled(robot)] = np.nan
     return free
 
 
