@@ -273,6 +273,12 @@ class Explainer(ABC):
         """
 
 
+def by_place(found: Sequence[Explanation], joints: Sequence[str]) -> list[Explanation]:
+    """Returns explanations in the order of the joints, followed by those at `PLACES`."""
+    order = [*joints, *PLACES]
+    return sorted(found, key=lambda each: order.index(each.joint))
+
+
 def find_explainer() -> Explainer | None:
     """Returns the installed explainer, or None if there is no explainer."""
     found: Explainer | None = load_first(EXPLAINERS, Explainer)

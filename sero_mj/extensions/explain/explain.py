@@ -52,10 +52,10 @@ from ...study.explanation import (
     ALL_JOINTS,
     MAX_CONFIDENCE,
     OF_ONE_RUN,
-    PLACES,
     Explainer,
     Explanation,
     Part,
+    by_place,
 )
 from .explain_search import MIN_ROWS, Search
 from .log_faults import log_faults
@@ -231,8 +231,7 @@ def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -
             ))  # fmt: skip
         else:
             found += [replace(each, confidence=min(each.confidence, _OF_MANY)) for each in group]
-    order = [*names, *PLACES]
-    return sorted(found, key=lambda each: order.index(each.joint))
+    return by_place(found, names)
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
@@ -288,9 +287,7 @@ def _with_runaway_drives(
         if each.joint in runaway and each.part == "drive" and each.kind != "unexplained"
     ]
     has = {each.joint for each in clear}
-    order = [*names, *PLACES]
-    return sorted([*clear, *(each for each in explanations if each.joint not in has)],
-                  key=lambda each: order.index(each.joint))  # fmt: skip
+    return by_place([*clear, *(each for each in explanations if each.joint not in has)], names)
 
 
 def _wrong_drives(found: TorqueResiduals, min_duration: float) -> list[Explanation]:

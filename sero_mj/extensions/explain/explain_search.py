@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, Bools
-from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part
+from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part, by_place
 from .edges import Edges, Sums, SumsOfPair
 from .effects import (
     MIN_SIGN,
@@ -490,12 +490,11 @@ class Search:
 
     def explanations(self, more: Sequence[Explanation]) -> list[Explanation]:
         """Returns all explanations and `more`, joint by joint, in descending order of size."""
-        order = {name: k for k, name in enumerate([*self.found.robot.names, *PLACES])}
         fits = [fit for fit in self.fits if self._is_large(fit) and not self._is_of_contact(fit)]
         fits.sort(key=lambda fit: -float(self._effects(fit).max()))
         found = [*more, *_one_per_side([self._explanation(fit) for fit in fits])]
         found.sort(key=lambda each: each.kind == "noise")  # last, as vibrations also cause noise
-        return sorted(found, key=lambda each: order[each.joint])
+        return by_place(found, self.found.robot.names)
 
     def explains(self, sign: Explanation) -> bool:
         """Whether another explanation is better than a drive with a wrong sign.
