@@ -136,7 +136,7 @@ def length_of(pair: Any) -> float:
 
 
 def tip_of(pair: Any) -> Any:
-    shaft, head = pair
+    _, head = pair
     assert shape_index(pair).tolist() == [SHAFT, HEAD]
     return (head["pos"] + head["mat"][:, 2] * head["size"][2]).astype(float)
 

@@ -66,10 +66,13 @@ def test_tube_is_as_wide_as_declared_and_tapers_toward_its_tail(ratio: float) ->
     head = vertices[len(tube.reshape(-1, 3)) : len(vertices) // COPIES]
     assert np.ptp(head[:, 2]) > max(1.7 * ratio, 0.05)
     ahead = np.arctan2(head[:, 1], head[:, 0])
-    assert ahead.max() == pytest.approx(np.deg2rad(154), abs=0.02)  # less a small opening
-    # The second tube is the first one, rotated by 180 degrees.
-    first, second = np.split(vertices, COPIES)
-    assert second == pytest.approx(first * (-1, -1, 1), abs=1e-12)
+    assert ahead.max() == pytest.approx(np.deg2rad(104), abs=0.02)  # less a small opening
+    # The next tubes are the first one, rotated by 120 and 240 degrees.
+    tubes = np.split(vertices, COPIES)
+    for k, each in enumerate(tubes):
+        cos, sin = np.cos(2 * np.pi * k / 3), np.sin(2 * np.pi * k / 3)
+        turned = tubes[0] @ [[cos, sin, 0], [-sin, cos, 0], [0, 0, 1]]
+        assert each == pytest.approx(turned, abs=1e-12)
 
 
 def test_depth_and_heads_grow_with_the_width() -> None:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import raises_with
-from decor_tools import belonging, labels, look, of_kind, width_of
+from decor_tools import belonging, labels, look, width_of
 from foreign_models import arm, compiled, jaco
 
 import sero_mj

@@ -18,8 +18,7 @@ from ...viewer.decor.image_view import ImageView
 from ...viewer.image.held_torques import HeldTorques
 from ...viewer.image.image_files import check_video, default_fps
 from ...viewer.image.image_options import VIDEO_FORMATS, ImageOptions, Quality
-from ...viewer.image.lent_shapes import lend_shapes
-from ...viewer.image.mujoco_private import context_of
+from ...viewer.image.mujoco_private import context_of, lend_shapes
 from ...viewer.image.painter import Painter, perform_clicks
 from ...viewer.image.render import (
     MAX_SIDE,

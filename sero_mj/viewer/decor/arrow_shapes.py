@@ -1,8 +1,12 @@
-"""The meshes of arrows and axes: tubes that taper toward their tail, with conical heads.
+"""The shapes of arrows and axes, which are meshes: tapered tubes with conical heads.
 
-A round arrow consists of two opposite tubes that follow each other about the z axis. Its mesh has
-radius 1. Scaling the mesh along z sets the width exactly. Depth and length of the heads cannot be
-scaled, so that there is a mesh for each of `RATIOS`, and the arrow uses the nearest one.
+A round arrow consists of three tubes that follow each other about the z axis. Its mesh has radius
+1. Scaling the mesh along z sets the width exactly. The depth of the tubes and the length of the
+heads cannot be scaled. Therefore, there is a mesh for each of `RATIOS`, and an arrow uses the
+nearest one.
+
+In a `GeomBuffer`, an arrow has type `mjGEOM_MESH`, a rotation `mat`, and a `size` with the factors
+that scale the mesh along its axes. `dataid` is `FIRST_SHAPE` plus the index in `shapes`.
 """
 
 from __future__ import annotations
@@ -14,12 +18,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from ...base.frames import Array, Ints
+from ...base.frames import Array, Bools, Ints
+from .geom_buffer import FIRST_SHAPE, GeomBuffer, Kind
 
 # Ratios of width to radius for which there is a mesh of a round arrow.
 RATIOS = np.geomspace(0.02, 1.0, 17)
-COPIES = 2  # number of tubes of a round arrow: at least one head is visible beside or before a link
-_SWEEP = np.deg2rad(154.0)  # angle from the tail of a tube to the tip of its head
+# Number of tubes of a round arrow. If there were two, both links of a straight arm would hide both
+# heads of its elbow at once.
+COPIES = 3
+_SWEEP = np.deg2rad(104.0)  # angle from the tail of a tube to the tip of its head
 _TAIL = 0.45  # width of the tail, fraction of the width at the neck
 _INSIDE = 0.94  # distance of the heads from the axis, fraction of the radius
 _FULL_HEAD = 0.06  # ratio from which heads have the minimum size; thinner arrows have smaller heads
@@ -27,11 +34,18 @@ HEAD_BARBS = 0.22  # distance of the barbs behind the neck, fraction of the head
 _POINT = 0.01  # size of tips, fraction of the size of the surface; faces need an area
 _LIFT = 0.006  # distance of the dark bands of striped arrows from the surface, widths
 
+STRIPE_RGB = (0.08, 0.08, 0.09)
+
 # Sizes of straight arrows, in units of the width of the shaft.
 STRAIGHT_HEAD_WIDTH, STRAIGHT_HEAD_LENGTH = 2.3, 2.9
 _STRAIGHT_TAIL = 0.6
+LONGEST_HEAD = 0.5  # maximum length of the head of a straight arrow, fraction of its length
+DARKER = 0.4  # brightness factor of a straight arrow beyond its limit
 # Sizes of the head of an axis: fraction of its length, and factor of its width.
 _AXIS_HEAD_LENGTH, _AXIS_HEAD_WIDTH = 0.16, 2.0
+
+
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 
 
 class Detail(NamedTuple):
@@ -48,14 +62,14 @@ class Detail(NamedTuple):
 
     sides: int = 16
     tail: int = 3
-    tube: int = 14
+    tube: int = 10
     head: int = 5
-    bands: tuple[tuple[int, int], ...] = ((2, 4), (6, 8), (10, 12))
+    bands: tuple[tuple[int, int], ...] = ((2, 4), (6, 8))
     head_bands: tuple[tuple[int, int], ...] = ((1, 3),)
 
 
 FINE = Detail()
-COARSE = Detail(4, 1, 5, 1, ((1, 2), (3, 4)), ())  # for scenes in which each triangle is a geom
+COARSE = Detail(4, 1, 3, 1, ((1, 2),), ())  # for scenes in which each triangle is a geom
 
 
 class Shape(NamedTuple):
@@ -233,3 +247,92 @@ def _joined(surfaces: list[NDArray[np.float64]]) -> Shape:
         vertices.append(surface.reshape(-1, 3))
         count += rings * sides
     return Shape(np.concatenate(vertices), np.concatenate(faces))
+
+
+def draw_round(
+    buffer: GeomBuffer,
+    kind: Kind,
+    items: Ints,
+    *,
+    centre: Array,
+    axes: Array,
+    phase: Array,
+    sign: Array,
+    radius: Array,
+    width: Array,
+    rgba: Array,
+    striped: Bools,
+) -> None:
+    """Draws k round arrows, with one geom each and another one for stripes.
+
+    Args:
+        items: index of the item that each arrow shows, shape (k,).
+        centre: centers of the arrows, shape (k, 3), m.
+        axes: orientations of the arrows, which run around the z axes, shape (k, 3, 3).
+        phase: angle from x to the tail of the arrow in its direction, shape (k,), rad.
+        sign: direction, 1 for the right-hand rule or -1 for the opposite direction, shape (k,).
+        radius: radii of the arrows, shape (k,), m.
+        width: maximum widths of the tubes, shape (k,), m.
+        rgba: colors, shape (k, 4).
+        striped: mask of arrows that are striped because their values exceed the limit, shape (k,).
+    """
+    count, over = len(items), striped.nonzero()[0]
+    index = np.concatenate([np.arange(count), over])
+    rows = buffer.take(len(index), _MESH, kind, items[index])
+    if not len(rows):
+        return
+    ratio = nearest_ratio(width / radius)
+    turned = np.zeros((count, 3, 3))
+    turned[:, 0, 0], turned[:, 0, 1] = np.cos(phase), -np.sin(phase)
+    # For the negative direction, the arrow is rotated by 180 deg about x.
+    turned[:, 1, 0], turned[:, 1, 1] = sign * np.sin(phase), sign * np.cos(phase)
+    turned[:, 2, 2] = sign
+    size = np.stack([radius, radius, width / RATIOS[ratio]], axis=1)
+    rows["dataid"] = FIRST_SHAPE + np.concatenate([ratio, BANDS + ratio[over]])
+    rows["pos"], rows["mat"], rows["size"] = centre[index], (axes @ turned)[index], size[index]
+    rows["rgba"] = rgba[index]
+    rows["rgba"][count:, :3] = STRIPE_RGB
+
+
+def draw_straight(
+    buffer: GeomBuffer,
+    kind: Kind,
+    items: Ints,
+    *,
+    start: Array,
+    axes: Array,
+    length: Array,
+    width: Array,
+    rgba: Array,
+    over: Bools | None = None,
+    emission: float | None = None,
+) -> None:
+    """Draws k straight arrows with two geoms each.
+
+    Args:
+        items: index of the item that each arrow shows, shape (k,).
+        start: tails of the arrows, shape (k, 3), m.
+        axes: orientations of the arrows, which point along the z axes, shape (k, 3, 3).
+        length: lengths of the arrows, shape (k,), m.
+        width: widths of the shafts at the head, shape (k,), m.
+        rgba: colors, shape (k, 4).
+        over: mask of the arrows that are dark because their values exceed the limit, shape (k,).
+        emission: emission of the geoms (default: that of the buffer).
+    """
+    rows = buffer.take(2 * len(items), _MESH, kind, np.repeat(items, 2))
+    if not len(rows):
+        return
+    head = np.minimum(STRAIGHT_HEAD_LENGTH * width, LONGEST_HEAD * length)
+    grid = rows.reshape(-1, 2)
+    grid["dataid"] = FIRST_SHAPE + SHAFT, FIRST_SHAPE + HEAD
+    grid["mat"] = axes[:, None]
+    grid["pos"] = start[:, None]
+    grid["pos"][:, 1] += axes[:, :, 2] * (length - head)[:, None]
+    grid["size"][:, 0] = np.stack([width, width, length - (1.0 - HEAD_BARBS) * head], axis=1)
+    barbs = STRAIGHT_HEAD_WIDTH * width
+    grid["size"][:, 1] = np.stack([barbs, barbs, head], axis=1)
+    grid["rgba"] = rgba[:, None]
+    if over is not None:
+        grid["rgba"][over, :, :3] *= DARKER
+    if emission is not None:
+        rows["emission"] = emission

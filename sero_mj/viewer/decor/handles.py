@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
-from .arrow_geoms import draw_straight
+from .arrow_shapes import draw_straight
 from .axes import AXIS_RGB, ONTO_AXIS
 from .feature import Feature, Frame
 from .geom_buffer import GeomBuffer, Kind

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from ...base.frames import Array
 from ...robots.assemble.parts import JointTable
-from .arrow_geoms import draw_round, draw_straight
+from .arrow_shapes import draw_round, draw_straight
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
 from .geom_buffer import GREY, Kind
@@ -34,7 +34,7 @@ NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
 FULL_WIDTH = 0.45  # width at the limit, radii
-INVISIBLE_WIDTH = 0.015  # minimum width of drawn arrows, radii; that of 0.1 % of a torque limit
+INVISIBLE_WIDTH = 0.03 * FULL_WIDTH  # minimum width of drawn arrows, radii; 0.1 % of a limit
 WIDEST = 1.5 * FULL_WIDTH  # maximum width, radii
 
 STRAIGHT_LENGTH = 2.5  # length of the straight arrow of a prismatic joint, in radii

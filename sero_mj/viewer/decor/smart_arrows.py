@@ -13,7 +13,7 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
-from .arrow_geoms import draw_round, draw_straight
+from .arrow_shapes import draw_round, draw_straight
 from .billboard_layout import BillboardGroup, heights_in_order
 from .billboards import NO_DATA
 from .feature import Feature, Frame

@@ -40,8 +40,7 @@ from .image_options import (
     Stereo,
     VideoOptions,
 )
-from .lent_shapes import lend_shapes
-from .mujoco_private import context_of
+from .mujoco_private import context_of, lend_shapes
 from .painter import Painter, perform_clicks
 from .passes import PassRenderer, check_pass_file, save_depth, save_segmentation
 from .picking import Pixel

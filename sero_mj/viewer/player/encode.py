@@ -12,7 +12,7 @@ from ...base.frames import Array
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
-from ..decor import arrow_geoms, arrow_shapes, round_arrows
+from ..decor import arrow_shapes, round_arrows
 from ..decor.billboards import LineFormat, has_chosen_lines
 from ..decor.geom_buffer import FIRST_SHAPE, GREY, Kind
 from ..decor.legend import arrows_line
@@ -223,7 +223,7 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
     return {
         "shapes": _shapes(parts),
         "ratios": arrow_shapes.RATIOS.tolist(),
-        "stripe": arrow_geoms.STRIPE_RGB,
+        "stripe": arrow_shapes.STRIPE_RGB,
         "values": None if is_torque else parts.put(capture.arrows.T),
         "quantities": _quantities(capture),
         "stale": parts.moving(capture.stale, 1),
@@ -234,9 +234,9 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
             "length": round_arrows.STRAIGHT_LENGTH,
             "headWidth": arrow_shapes.STRAIGHT_HEAD_WIDTH,
             "headLength": arrow_shapes.STRAIGHT_HEAD_LENGTH,
-            "longestHead": arrow_geoms.LONGEST_HEAD,
+            "longestHead": arrow_shapes.LONGEST_HEAD,
             "barbs": arrow_shapes.HEAD_BARBS,
-            "darker": arrow_geoms.DARKER,
+            "darker": arrow_shapes.DARKER,
             "shaft": FIRST_SHAPE + arrow_shapes.SHAFT,
             "head": FIRST_SHAPE + arrow_shapes.HEAD,
         },

@@ -14,7 +14,7 @@ from ..decor.toggles import Toggles
 from ..image.added_surroundings import added_surroundings
 from ..image.framing import bounding_sphere, stand_back
 from ..image.image_options import EYE_DISTANCE, Stereo
-from ..image.lent_shapes import lend_shapes
+from ..image.mujoco_private import lend_shapes
 from ..image.scene_decor import SceneDecor
 from ..image.stereo import check_stereo, each_eye, looked_at
 from ..image.typesetting import Typesetter
