@@ -13,11 +13,12 @@ from pydantic import model_validator
 
 from ..base.declaration import expecting
 from ..base.errors import UsageError
-from ..base.options import NotNegative, Option, Positive, ending, positional
+from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.image.image_options import VIDEO_FORMATS, SizeOptions, VideoOptions
 from .arguments import command, print_json, print_table, progress_bar
-from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
+from .compare_trend import TrendOptions, run_trend
+from .shared_options import Figure
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -47,13 +48,10 @@ skipped. The exit status is 1 if a parameter changed beyond --tolerance-change.
 GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # maximum width of explanations in a table of many recordings, characters
 _TREND_OPTIONS = ("junit", "limit", "tolerance_change")
-_BATCH_OPTIONS = (
-    *("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship", "baseline", "output"),
-    *_TREND_OPTIONS,
-)
+_BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
-class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
+class CompareOptions(SizeOptions, TrendOptions):
     """Compare recordings of a robot, joint by joint.
 
     Attributes:
@@ -61,51 +59,31 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         b: second recording or table (default: compare commanded and measured torques of A).
         more: further recordings to compare with A.
         each: compare commanded and measured torques in each recording.
-        baseline: recording of the intact robot; report the trend of A, B, ... relative to it.
         against_model: compare A with the robot's model in the same motion.
-        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
         source: source to read; NAME,NAME for A and B (default: all sources).
         offset: offset in seconds added to the times of B; auto estimates it from the motion.
         plot: draw a figure: .png, .pdf or .svg.
         csv: write both recordings and their difference to a table.
-        table: write one row per recording to a table.
-        as_json: print the result as JSON.
-        output: write a page that plays A and B, with explanations of the difference on the
-            timeline; with --baseline, a page that shows the trends.
-        junit: write the trends as JUnit XML for CI.
         render: render a video of A with the difference as arrows, and a transparent double for B.
         tolerance_torque: maximum difference in measured torques, in Nm or N; exit with 1 if
             exceeded.
         tolerance_angle: maximum difference in joint values, in degrees or mm; exit with 1 if
             exceeded.
-        tolerance_change: maximum change of a trend relative to the baseline, in percent; exit with
-            1 if exceeded (default: 10).
-        limit: relative change of a drifting parameter whose date is predicted, in percent
-            (default: 50).
-        quiet: print no table and no progress bar.
     """
 
     a: Annotated[Path, positional("A.mcap")]
     b: Annotated[Path | None, positional("B.mcap")] = None
     more: Annotated[list[Path], positional("MORE.mcap")] = []
     each: bool = False
-    baseline: Annotated[Path | None, Option("GOOD.mcap")] = None
     against_model: bool = False
-    robot: Flag = None
     offset: Annotated[
         float | Literal["auto"], expecting("a number of seconds, or auto"), Option("S|auto")
     ] = 0.0
     plot: Figure | None = None
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
-    junit: Annotated[Path | None, ending(".xml"), Option("OUT.xml")] = None
     render: Annotated[Path | None, ending(*VIDEO_FORMATS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
-    tolerance_change: Annotated[NotNegative, Option("PERCENT")] = 10.0
-    limit: Annotated[Positive, Option("PERCENT")] = 50.0
-    quiet: bool = False
 
     @model_validator(mode="after")
     def _check_second(self) -> Self:
@@ -141,8 +119,6 @@ def run(options: CompareOptions) -> int:
     `run_trend`.
     """
     if options.baseline is not None:
-        from .compare_trend import run_trend
-
         recordings = [path for path in (options.a, options.b, *options.more) if path is not None]
         return run_trend(options, options.baseline, recordings)
     return _compare_many(options) if options.is_batch else _compare_two(options)
@@ -184,12 +160,6 @@ def _compare_two(options: CompareOptions) -> int:
     return 1 if over else 0
 
 
-def single_options(shared: Mapping[str, Any], **recordings: str) -> CompareOptions:
-    """Returns the options of a batch for a single comparison."""
-    single = {key: value for key, value in shared.items() if key not in _BATCH_OPTIONS}
-    return CompareOptions(**{**single, **recordings})
-
-
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """Compares one recording of a batch; returns a mapping from column names to results.
 
@@ -199,7 +169,9 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """
     from ..study.compare import compare, exceeded
 
-    options = single_options(shared, **{"a" if shared.get("each") else "b": str(file)})
+    single = {key: value for key, value in shared.items() if key not in _BATCH_OPTIONS}
+    option = "a" if shared.get("each") else "b"
+    options = CompareOptions(**{**single, option: str(file)})
     pair, explanations, _ = _compared(options)
     differences = compare(pair)
     row: dict[str, Any] = {"seconds": float(pair.times[-1] - pair.times[0])}

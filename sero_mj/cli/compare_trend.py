@@ -6,16 +6,45 @@ import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 from ..base.errors import UsageError
+from ..base.options import NotNegative, Option, Positive, ending
 from .arguments import print_json, print_table, writing
 from .each_recording import Rows, examine_each, write_rows
+from .shared_options import EngineOptions, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
     from ..study.explanation import Parameter
     from ..study.trend import Measured
-    from .compare import CompareOptions
+
+
+class TrendOptions(RunOptions, JsonOptions, EngineOptions):
+    """Options of trends, and other options for comparing many recordings.
+
+    Attributes:
+        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
+        baseline: recording of the intact robot; report the trend of A, B, ... relative to it.
+        tolerance_change: maximum change of a trend relative to the baseline, in percent; exit with
+            1 if exceeded (default: 10).
+        limit: relative change of a drifting parameter whose date is predicted, in percent
+            (default: 50).
+        junit: write the trends as JUnit XML for CI.
+        table: write one row per recording to a table.
+        output: write a page that plays A and B, with explanations of the difference on the
+            timeline; with --baseline, a page that shows the trends.
+        as_json: print the result as JSON.
+        quiet: print no table and no progress bar.
+    """
+
+    robot: Flag = None
+    baseline: Annotated[Path | None, Option("GOOD.mcap")] = None
+    tolerance_change: Annotated[NotNegative, Option("PERCENT")] = 10.0
+    limit: Annotated[Positive, Option("PERCENT")] = 50.0
+    junit: Annotated[Path | None, ending(".xml"), Option("OUT.xml")] = None
+    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
+    quiet: bool = False
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
@@ -24,9 +53,8 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     The columns are the `date`, whether it is the date of the file, the `robot`, its `joints`, and
     for each parameter the value, the standard error (`.error`) and the unit (`.unit`).
     """
-    from .compare import single_options
-
-    run, robot, joints = _measured(single_options(shared, a=str(file)), file)
+    own = {key: shared[key] for key in ("robot", *RunOptions.model_fields) if key in shared}
+    run, robot, joints = _measured(TrendOptions(**own), file)
     row = {"date": run.date.isoformat(timespec="seconds"), "date_of_file": run.is_date_of_file,
            "robot": robot, "joints": ", ".join(joints)}  # fmt: skip
     for each in run.parameters:
@@ -35,7 +63,7 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     return row
 
 
-def _measured(options: CompareOptions, file: Path) -> tuple[Measured, str, list[str]]:
+def _measured(options: TrendOptions, file: Path) -> tuple[Measured, str, list[str]]:
     from ..study.align import choose_robot
     from ..study.trend import Measured, date_of, measure
 
@@ -46,7 +74,7 @@ def _measured(options: CompareOptions, file: Path) -> tuple[Measured, str, list[
     return run, robot, list(log.robots[robot].names)
 
 
-def run_trend(options: CompareOptions, baseline: Path, recordings: list[Path]) -> int:
+def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> int:
     """Reports the trends of recordings.
 
     Returns 0, 1 if a parameter changed, 2 if no recording can be used, or 130 if interrupted.
@@ -78,7 +106,7 @@ def run_trend(options: CompareOptions, baseline: Path, recordings: list[Path]) -
     trends = find_trends(good, used, tolerance, limit)
     changed = [each for each in trends if each.is_changed]
     count = f"{len(used)} recordings" if len(used) > 1 else "1 recording"
-    title = f"{robot}: {count} and the baseline {baseline}"
+    title = f"{robot}: {count} and the baseline {baseline.name}"
     if options.as_json:
         print_json({
             "baseline": str(baseline), "robot": robot, "trends": [as_json(each) for each in trends],

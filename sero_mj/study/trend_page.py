@@ -204,7 +204,7 @@ def _scales(
     errors = 2.0 * np.nan_to_num(trend.errors)
     low, high = float((trend.values - errors).min()), float((trend.values + errors).max())
     base = abs(float(trend.values[trend.baseline]))
-    least = max(_MIN_RANGE * base, 4.0 * trend.parameter.min_change, 1e-9)
+    least = max(_MIN_RANGE * base, 2.0 * trend.parameter.min_change, 1e-9)
     pad = max(0.5 * (least - (high - low)), 0.0)
     low, high = low - pad, high + pad
     top, bottom = _TOP + _MARGIN, _BOTTOM - _MARGIN
