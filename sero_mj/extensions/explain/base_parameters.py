@@ -76,7 +76,7 @@ class BaseParameters:
         X = standard_torques(robot, q, v, a).reshape(_POSES * robot.n, -1)
         order = [10 * link + each for link in range(robot.n) for each in _ORDER]
         indices = np.sort(_independent(X, order))
-        combination = np.linalg.lstsq(X[:, indices], X, rcond=None)[0]
+        combination = np.asarray(np.linalg.lstsq(X[:, indices], X, rcond=None)[0], np.float64)
         combination[np.abs(combination) < _MIN_COEFFICIENT] = 0.0
         names = [f"{joint}.{each}" for joint in robot.names for each in PARAMETERS]
         sums = (_named_sum(row, k, names) for row, k in zip(combination, indices, strict=True))
@@ -101,8 +101,8 @@ def _independent(X: Array, order: Sequence[int]) -> Ints:
         left = X[:, k]
         for _ in range(2):  # the second pass removes rounding errors of the first one
             left = left - Q @ (Q.T @ left)
-        length = np.linalg.norm(left)
-        if length > _DEPENDENT * max(np.linalg.norm(X[:, k]), 1.0):
+        length, whole = float(np.linalg.norm(left)), float(np.linalg.norm(X[:, k]))
+        if length > _DEPENDENT * max(whole, 1.0):
             Q = np.column_stack([Q, left / length])
             found.append(k)
     return np.array(found, np.intp)
@@ -110,7 +110,7 @@ def _independent(X: Array, order: Sequence[int]) -> Ints:
 
 def _named_sum(row: Array, own: int, names: Sequence[str]) -> str:
     text = names[own]
-    for k in np.flatnonzero(row):
+    for k in np.flatnonzero(row).tolist():
         if k != own:
             size = f"{abs(row[k]):.3g} "
             text += f" {'-' if row[k] < 0 else '+'} {'' if size == '1 ' else size}{names[k]}"

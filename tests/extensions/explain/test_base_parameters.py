@@ -26,7 +26,7 @@ def random_motion(robot: SerialRobot, seed: int = 1) -> np.ndarray:
         ("lwr", {"mirrored": True}),
         ("stanford", {"base_frame": BASE}),  # prismatic, standard convention
         ("scara", {}),
-        ("lwr", {"parents": ["base", "A1", "E1", "A3", "A2", "A5"]}),  # a tree
+        ("lwr", {"parents": ["base", "A1", "A2", "E1", "A3", "A2", "A5"]}),  # a tree
     ],
 )
 def test_declared_parameters_have_the_torques_of_mujoco(name: str, overrides: dict) -> None:
