@@ -362,8 +362,10 @@ def print_table(table: Table) -> None:
 def print_wrapped(lines: Iterable[str]) -> None:
     """Prints lines, wrapped to the width of the terminal."""
     width = max(shutil.get_terminal_size().columns, _MIN_WIDTH)
-    for line in lines:
-        print(textwrap.fill(line, width, subsequent_indent="  ", break_on_hyphens=False))
+    for line in lines:  # a number and the percent sign stay together
+        whole = line.replace(" %", "\u00a0%")
+        text = textwrap.fill(whole, width, subsequent_indent="  ", break_on_hyphens=False)
+        print(text.replace("\u00a0%", " %"))
 
 
 def read_recorded_run(
