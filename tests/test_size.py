@@ -15,7 +15,7 @@ MAX_METHODS = 35
 MAX_FILES = 25
 # Lines of Python; lower these limits as the code shrinks.
 MAX_LINES_OF_CORE = 75_800
-MAX_LINES = 103_000
+MAX_LINES = 103_800
 
 
 def modules() -> dict[Path, str]:

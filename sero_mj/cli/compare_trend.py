@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, Positive, ending
-from .arguments import print_json, print_table, writing
+from .arguments import print_json, print_table, print_wrapped, writing
 from .each_recording import Rows, examine_each, write_rows
 from .shared_options import EngineOptions, Flag, JsonOptions, RunOptions
 
@@ -115,8 +115,7 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
         })  # fmt: skip
     elif not quiet:
         print_table(as_table(trends, title))
-        for text in [*(event for each in trends for event in each.events), *notes]:
-            print(text)
+        print_wrapped([*(event for each in trends for event in each.events), *notes])
     with writing():
         if options.output is not None:
             from ..study.trend_page import write_trend_page
