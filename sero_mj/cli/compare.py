@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 _HELP = """\
 examples:
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
-  sero-mj compare run.mcap                              commanded and measured torque of one run
   sero-mj compare good.mcap runs/*.mcap --table table.csv   one row per recording
   sero-mj compare nightly/*.mcap --baseline good.mcap -o trend.html   friction over weeks
 
