@@ -16,7 +16,7 @@ from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.image.image_options import VIDEO_FORMATS, SizeOptions, VideoOptions
-from .arguments import command, print_json, print_table, progress_bar
+from .arguments import command, print_json, print_table, print_wrapped, progress_bar
 from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
@@ -118,7 +118,15 @@ def run(options: CompareOptions) -> int:
 
 
 def _compare_two(options: CompareOptions) -> int:
-    from ..study.compare import as_json, as_table, compare, exceeded, explanations_table, write_csv
+    from ..study.compare import (
+        as_json,
+        as_table,
+        compare,
+        exceeded,
+        explanations_table,
+        next_lines,
+        write_csv,
+    )
 
     pair, explanations, about = _compared(options)
     if not pair.signals:
@@ -134,10 +142,10 @@ def _compare_two(options: CompareOptions) -> int:
         print_table(as_table(pair, differences))
         if pair.correlation is not None:
             print(f"offset {pair.offset:+.4f} s, correlation of the motions {pair.correlation:.3f}")
-        for line in about:
-            print(line)
+        print_wrapped(about)
         if explanations is not None:
             print_table(explanations_table(pair, explanations))
+            print_wrapped(next_lines(explanations))
     if options.csv is not None:
         write_csv(pair, options.csv)
     if options.plot is not None:
@@ -262,11 +270,12 @@ def _two_runs(a: RunLog, b: RunLog, options: CompareOptions) -> _Compared:
     if "torques" not in pair.signals:
         return pair, None, ["no explanation: both recordings must have torques"]
     explainer = find_explainer()
+    if explainer is None:
+        return pair, None, []
     try:
-        found = None if explainer is None else explainer.of_two(a, b, robots, pair.offset)
+        return pair, *explainer.of_two(a, b, robots, pair.offset)
     except UsageError as error:
         return pair, None, [f"no explanation: {error}"]
-    return pair, found, []
 
 
 def _one_run(run: RunLog, options: CompareOptions) -> _Compared:

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..base.plugins import EXPLAINERS, load_first
+from .evidence import Evidence
 
 if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
@@ -123,6 +124,8 @@ class Explanation:
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
         alternatives: other causes that the motion does not distinguish from this one.
+        next: experiment that confirms the cause or distinguishes it from others, as text.
+        evidence: residuals before and after the explanation; None if it has no residuals.
     """
 
     joint: str
@@ -140,6 +143,8 @@ class Explanation:
     is_difference: bool = False
     is_second: bool = False
     alternatives: tuple[str, ...] = ()
+    next: str = ""
+    evidence: Evidence | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -245,11 +250,11 @@ class Explainer(ABC):
     @abstractmethod
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
-    ) -> list[Explanation]:
+    ) -> tuple[list[Explanation], list[str]]:
         """Explains the torques of run `a` minus the torques of run `b`.
 
         `robots` contains the names of the robot in `a` and `b`. `offset` (s) is added to the times
-        of `b`.
+        of `b`. Returns the explanations, and lines about the method.
 
         Raises:
             UsageError: the runs cannot be analyzed.

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ...base.frames import Array, Bools
+from ...study.evidence import Evidence
 from ...study.explanation import MAX_CONFIDENCE, PLACES, Explanation, Kind, Part, by_place
 from .edges import Edges, Sums, SumsOfPair
 from .effects import (
@@ -25,6 +26,7 @@ from .effects import (
     common_effects,
     joint_effects,
 )
+from .evidence_rows import evidence_at, worst_joint
 from .goodness import limited, unexplained_share
 from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 
@@ -568,8 +570,9 @@ class Search:
                 confidence = min(confidence, _UNDECLARED)
             if kind == "gain" and abs(size.size) < _NO_GAIN:
                 confidence = min(confidence, _OF_NO_GAIN)
+        torques = (fit.columns @ fit.parameters) * self.sigma
+        evidence = self._evidence(fit, torques)
         if fit.effect is None or confidence < _MIN_CONFIDENCE:
-            torques = (fit.columns @ fit.parameters) * self.sigma
             side, row, joint = np.unravel_index(np.argmax(np.abs(torques)), torques.shape)
             size, place = Size(float(torques[side, row, joint]), np.nan, "Nm"), names[joint]
             if fit.effect is not None:
@@ -583,7 +586,17 @@ class Search:
             None if last >= self.edges.end else float(found.times[0] + 0.5 * last * found.step),
             first == 0, size.values, tuple(joints),
             alternatives=tuple(dict.fromkeys(each for each in alternatives if each != kind)),
+            evidence=evidence,
         )  # fmt: skip
+
+    def _evidence(self, fit: _Fit, torques: Array) -> Evidence:
+        # At the joint and side with the largest torques (2, K, n) of a fit.
+        side, joint = worst_joint(torques, self.found.scale)
+        rows = self.known[side, :, joint]
+        left = np.where(rows, (self.left * self.sigma)[side, :, joint], np.nan)
+        before = left + torques[side, :, joint]
+        after = before if fit.effect is None else left  # unexplained torques remain
+        return evidence_at(self.found, joint, side, before, after, fit.kind, fit.part)
 
 
 def _spread(residuals: Array) -> Array:
