@@ -15,7 +15,7 @@ MAX_METHODS = 35
 MAX_FILES = 25
 # Lines of Python; lower these limits as the code shrinks.
 MAX_LINES_OF_CORE = 74_950
-MAX_LINES = 102_690
+MAX_LINES = 102_756
 
 
 def modules() -> dict[Path, str]:

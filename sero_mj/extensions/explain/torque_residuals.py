@@ -146,6 +146,7 @@ class TorqueResiduals:
             friction, shape (K, n), Nm or N; NaN while a joint is slow or reverses.
         lag: commanded minus measured torques, shape (K, n).
         width: standard deviation of the low-pass filter, s.
+        sample_time: time between two rows of the run, s.
         scale: torque limits, or the largest torques of joints without a limit, shape (n,).
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
@@ -165,6 +166,7 @@ class TorqueResiduals:
     motion: JointMotion
     noise: SensorNoise
     width: float
+    sample_time: float
     scale: Array
     coulomb: Array
     torque_control: bool
@@ -305,6 +307,7 @@ def torque_residuals(
         motion=JointMotion(smooth, signs, acceleration, slow, links),
         noise=SensorNoise(rough, at[1] + windows, held),
         width=low_pass.width,
+        sample_time=step,
         scale=scale,
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
