@@ -316,15 +316,11 @@ def _page(
     pair: Pair, output: Path, explanations: Sequence[Explanation], options: CompareOptions
 ) -> None:
     from ..study.compare import compare_scene
-    from ..viewer.player.capture import Mark
+    from ..study.explanation_marks import marks_of_explanations
     from ..viewer.player.page import export_html
 
     last = float(pair.times[-1] - pair.times[0])
-    marks = []
-    for each in explanations:
-        begin = 0.0 if each.from_start else each.begin - float(pair.times[0])
-        end = last if each.end is None else each.end - float(pair.times[0])
-        marks.append(Mark(begin, end, f"{each.joint}: {each.short}", "fault"))
+    marks = marks_of_explanations(pair, explanations)
     compared = pair.names if options.b is None else (str(options.a), str(options.b))
     with progress_bar("collecting", quiet=options.quiet) as update:
         export_html(
