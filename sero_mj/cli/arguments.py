@@ -7,8 +7,10 @@ import contextlib
 import json
 import math
 import re
+import shutil
 import signal
 import sys
+import textwrap
 import threading
 import time
 import tomllib
@@ -41,6 +43,7 @@ if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
     from ..simulate.scenario import Scenario
 
+_MIN_WIDTH = 40  # of wrapped lines, characters
 # Subparsers have no public type.
 Commands = Any
 T = TypeVar("T", bound=Options)
@@ -354,6 +357,15 @@ def print_table(table: Table) -> None:
     unlimited = console.options.update_width(10_000)
     console.width = max(console.width, console.measure(table, options=unlimited).maximum)
     console.print(table)
+
+
+def print_wrapped(lines: Iterable[str]) -> None:
+    """Prints lines, wrapped to the width of the terminal."""
+    width = max(shutil.get_terminal_size().columns, _MIN_WIDTH)
+    for line in lines:  # a number and the percent sign stay together
+        whole = line.replace(" %", "\u00a0%")
+        text = textwrap.fill(whole, width, subsequent_indent="  ", break_on_hyphens=False)
+        print(text.replace("\u00a0%", " %"))
 
 
 def read_recorded_run(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -157,9 +157,16 @@ def as_json(
         "rows": len(pair.times),
         "differences": [asdict(each) for each in differences],
         "explanations": None if explanations is None else [
-            {**asdict(each), "text": str(each)} for each in explanations
+            _explanation_as_json(each) for each in explanations
         ],
     }  # fmt: skip
+
+
+def _explanation_as_json(explanation: Explanation) -> dict[str, Any]:
+    evidence = explanation.evidence
+    found = asdict(replace(explanation, evidence=None))
+    of_rows = None if evidence is None else evidence.as_json()
+    return {**found, "evidence": of_rows, "text": str(explanation)}
 
 
 def as_table(pair: Pair, differences: Sequence[Difference]) -> Table:
@@ -231,6 +238,16 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
             ).any()  # fmt: skip
             table.add_row(name, "no difference found" if known else "no torque data", "", "")
     return table
+
+
+def next_lines(explanations: Sequence[Explanation]) -> list[str]:
+    """Returns a line for each next experiment, with the explanations that it decides about."""
+    wanted: dict[str, list[str]] = {}
+    for each in explanations:
+        if each.next:
+            wanted.setdefault(each.next, []).append(f"{each.joint} ({each.kind})")
+    return [f"next for {', '.join(dict.fromkeys(faults))}: {text}"
+            for text, faults in wanted.items()]  # fmt: skip
 
 
 def shown_as(unit: str) -> tuple[float, str]:

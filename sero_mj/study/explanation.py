@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from ..base.plugins import EXPLAINERS, load_first
+from .evidence import Evidence
 
 if TYPE_CHECKING:
     from ..simulate.runs.run_log import RunLog
@@ -123,6 +124,8 @@ class Explanation:
         is_difference: whether the size is a difference between the gains of two runs.
         is_second: whether the second of two runs has the fault.
         alternatives: other causes that the motion does not distinguish from this one.
+        next: experiment that confirms the cause or distinguishes it from others, as text.
+        evidence: residuals before and after the explanation; None if it has no residuals.
     """
 
     joint: str
@@ -140,6 +143,8 @@ class Explanation:
     is_difference: bool = False
     is_second: bool = False
     alternatives: tuple[str, ...] = ()
+    next: str = ""
+    evidence: Evidence | None = field(default=None, compare=False, repr=False)
 
     def __str__(self) -> str:
         return f"{self.text}, {self.when}"
@@ -239,17 +244,50 @@ def _about(error: float) -> str:
     return f" ± {error:.1g}" if np.isfinite(error) and error > 0 else ""
 
 
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a robot that was estimated from a recording.
+
+    Attributes:
+        joint: name of the joint, or `payload`.
+        name: name of the parameter, such as `coulomb_friction`.
+        unit: SI unit.
+        value: estimate; None if the recording does not determine it.
+        error: standard error of the estimate; None if unknown.
+        reason: reason why there is no estimate.
+        min_change: smallest change that matters.
+    """
+
+    joint: str
+    name: str
+    unit: str
+    value: float | None
+    error: float | None = None
+    reason: str | None = None
+    min_change: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The name with the joint, such as `A4.coulomb_friction`."""
+        return f"{self.joint}.{self.name}"
+
+    @property
+    def label(self) -> str:
+        """The name as text, such as `Coulomb friction`."""
+        return self.name.replace("_", " ").replace("coulomb", "Coulomb")
+
+
 class Explainer(ABC):
     """An object, created without arguments, that finds the causes of torque differences."""
 
     @abstractmethod
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
-    ) -> list[Explanation]:
+    ) -> tuple[list[Explanation], list[str]]:
         """Explains the torques of run `a` minus the torques of run `b`.
 
         `robots` contains the names of the robot in `a` and `b`. `offset` (s) is added to the times
-        of `b`.
+        of `b`. Returns the explanations, and lines about the method.
 
         Raises:
             UsageError: the runs cannot be analyzed.
@@ -271,6 +309,14 @@ class Explainer(ABC):
         Raises:
             UsageError: the robot has no model, or the run has no torques.
         """
+
+    def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
+        """Estimates parameters of each joint, such as friction. The order is always the same.
+
+        Raises:
+            UsageError: the run is too short, or contains too little motion.
+        """
+        return []
 
 
 def by_place(found: Sequence[Explanation], joints: Sequence[str]) -> list[Explanation]:

@@ -142,6 +142,7 @@ class Figure:
         columns: title and relative width of each column.
         times: start and end of the time axis, s.
         size_mm: width and height, mm; None for the width of A4 and a height that fits the rows.
+        below: height of the subfigure `below` the panels, mm.
 
     Raises:
         UsageError: the size is invalid.
@@ -156,11 +157,13 @@ class Figure:
         subtitle: str,
         times: tuple[float, float],
         size_mm: tuple[float, float] | None = None,
+        below: float = 0.0,
     ) -> None:
         from matplotlib import figure as matplotlib_figure
 
-        row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / len(rows), _MIN_ROW, _ROW))
-        width, height = size_mm or (A4_WIDTH, _HEAD + _FOOT + row * len(rows))
+        row = float(np.clip((_A4_HEIGHT - _HEAD - _FOOT) / max(len(rows), 1), _MIN_ROW, _ROW))
+        panels_height = _FOOT + row * len(rows) if rows else 0.0
+        width, height = size_mm or (A4_WIDTH, _HEAD + panels_height + below)
         for value, low, high, what in (
             (width, _MIN_MM[0], _MAX_MM[0], "wide"), (height, _MIN_MM[1], _MAX_MM[1], "high"),
         ):  # fmt: skip
@@ -170,16 +173,30 @@ class Figure:
         self.figure = matplotlib_figure.Figure(
             figsize=(width * _MM, height * _MM), dpi=_DPI, facecolor="white", layout="constrained"
         )
-        parts: Any = self.figure.subfigures(2, 1, height_ratios=[_HEAD, height - _HEAD])
-        self._head, body = parts
+        heights = [_HEAD, height - _HEAD - below, below]
+        parts: Any = self.figure.subfigures(
+            sum(each > 0.0 for each in heights), 1, height_ratios=[h for h in heights if h > 0.0]
+        )
+        self._head, self.below = parts[0], parts[-1]
+        self.axes: list[list[Axes]] = []
         left = 1.0 / width
         self._head.text(left, 0.9, title, fontsize=10.0, fontweight="bold", va="top")
         self._head.text(left, 0.45, subtitle, fontsize=7.0, va="top", color=GREY)
+        if rows:
+            self._add_panels(parts[1], rows, columns, times)
+
+    def _add_panels(
+        self,
+        body: Any,
+        rows: Sequence[tuple[str, str]],
+        columns: Sequence[tuple[str, float]],
+        times: tuple[float, float],
+    ) -> None:
         panels: Any = body.subplots(
             len(rows), len(columns), sharex=True, squeeze=False,
             width_ratios=[share for _, share in columns],
         )  # fmt: skip
-        self.axes: list[list[Axes]] = panels.tolist()
+        self.axes = panels.tolist()
         for row_of, (name, beneath) in zip(self.axes, rows, strict=True):
             self._label(row_of[0], name, beneath)
         for panel, (heading, _) in zip(self.axes[0], columns, strict=True):

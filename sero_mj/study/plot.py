@@ -15,6 +15,7 @@ from ..base.reduction import peak, rms
 from ..simulate.runs.run_log import RunLog, compared_signal, torque_error
 from .align import Pair
 from .compare import differ_most, shown_units
+from .evidence_plot import PER_PAGE, draw_evidence, height_of, with_evidence
 from .explanation import Explanation
 from .figure import (
     BLUE,
@@ -348,7 +349,9 @@ def plot_pair(
         path: output file: .png (300 dpi), .pdf or .svg.
         joints: names of the joints; None for all joints, or for the joints that differ most if the
             robot has many joints.
-        explanations: explanations of the differences, which are marked at the start times.
+        explanations: explanations of the differences, which are marked at the start times. Their
+            evidence follows on further pages of a .pdf, or below the joints in other formats, which
+            show the six most confident explanations.
         size_mm: width and height of the figure, mm; None for the width of A4.
 
     Raises:
@@ -374,6 +377,10 @@ def plot_pair(
     columns = [(f"{what}, {unit}", 1.35), (f"{what}, A − B, {unit}", 1.0)]
     if main == "torques" and "joint_angles" in pair.signals and not pair.has_one_motion:
         columns.append((f"angle, A − B, {unit_of_angle}", 1.0))
+    shown_evidence = with_evidence(explanations)
+    pages = [shown_evidence[k : k + PER_PAGE] for k in range(0, len(shown_evidence), PER_PAGE)]
+    # Only .pdf files have several pages.
+    below = [] if path.suffix.lower() == ".pdf" else (pages[0] if pages else [])
     with styled():
         figure = Figure(
             [(drawn_name(names[k], k), _beneath_pair(pair, k)) for k in chosen],
@@ -382,6 +389,7 @@ def plot_pair(
             subtitle=_about_pair(pair) + _left_out(len(chosen), len(names)),
             times=(float(pair.times[0]), float(pair.times[-1])),
             size_mm=size_mm,
+            below=height_of(below),
         )
         for k, panels in zip(chosen, figure.axes, strict=True):
             _draw_both(figure, panels[0], pair, main, k)
@@ -390,7 +398,18 @@ def plot_pair(
                 _draw_difference_of_pair(figure, panels[2], pair, "joint_angles", k)
             _explain(figure, panels[1], [each for each in explanations if names[k] in each.joints])
         figure.legend(_legend_of_pair(pair))
-        save_figures([figure], path)
+        if below:
+            draw_evidence(figure, below)
+        figures = [figure, *(_evidence_page(pair, page) for page in pages if not below)]
+        save_figures(figures, path)
+
+
+def _evidence_page(pair: Pair, explanations: Sequence[Explanation]) -> Figure:
+    times = float(pair.times[0]), float(pair.times[-1])
+    figure = Figure([], [], title=f"{pair.names[0]} − {pair.names[1]}: evidence", times=times,
+                    subtitle=_about_pair(pair), below=height_of(explanations))  # fmt: skip
+    draw_evidence(figure, explanations)
+    return figure
 
 
 def _explain(figure: Figure, panel: Axes, explanations: Sequence[Explanation]) -> None:

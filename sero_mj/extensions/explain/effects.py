@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from ...base.frames import Array, frame
-from ...robots.assemble.robot_dynamics import GRAVITY, robot_dynamics
+from ...robots.assemble.robot_dynamics import GRAVITY
 from ...study.explanation import ALL_JOINTS, BASE, COMMANDS, FLANGE, LINKS, Kind, Part
 from .link_torques import body_torques
 from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
@@ -83,12 +83,14 @@ class JointEffect(Effect):
         columns: for each parameter, the change of the residuals of link and motor per unit of the
             parameter, shape (K, n) each.
         least: minimum magnitude of the first parameter of each joint, shape (n,); None for 0.
+        lowest: minimum of the first parameter of each joint, shape (n,); None for no minimum.
         variants: function that converts the fitted first parameter to effects with other values to
             try, for effects that are not linear in their value, such as delays; None for others.
     """
 
     columns: Sequence[tuple[Array, Array]] = ()
     least: Array | None = None
+    lowest: Array | None = None
     variants: Callable[[float], Sequence[JointEffect]] | None = None
 
 
@@ -146,13 +148,13 @@ def joint_effects(found: TorqueResiduals, true: Array, late: Array) -> list[Join
 def _of_motors(found: TorqueResiduals, true: Array) -> list[JointEffect]:
     zero, signs, velocities = np.zeros_like(found.link), found.motion.signs, found.motion.velocities
     torque, ones = SHARE * found.scale[:, None], np.ones((found.robot.n, 1))
-    declared = robot_dynamics(found.robot).motor_inertias
+    declared = found.dynamics.motor_inertias
     effects = []
     if OF_MOTORS[0] not in found.undeclared:
         inertia = [(zero, found.motion.accelerations)]
         effects.append(JointEffect(
             "motor inertia", "drive", ones, _scaled(1.0, "kg m2"), is_constant=True,
-            columns=inertia, least=_MIN_INERTIA * declared,
+            columns=inertia, least=_MIN_INERTIA * declared, lowest=-declared,
         ))  # fmt: skip
     if found.torque_control:
         return effects
@@ -237,7 +239,7 @@ def common_effects(found: TorqueResiduals) -> list[CommonEffect]:
 
 def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
     robot, torques = found.robot, found.torques
-    dynamics = robot_dynamics(robot)
+    dynamics = found.dynamics
     effects = [
         CommonEffect("payload", "flange", _PAYLOAD, _of_payload, place=FLANGE,
                      torques=torques.payload, min_size=0.03),
@@ -300,7 +302,7 @@ def _of_link(found: TorqueResiduals, joint: int, mass: float, center: Array) -> 
     name = found.robot.names[joint]
     q, v, a = found.motion.links
     body = body_torques(found.robot, q, v, a, joint + 1)
-    dynamics = robot_dynamics(found.robot)
+    dynamics = found.dynamics
     tensor = dynamics.tensors[joint + 1]
     about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))
     inertia = [*np.diag(about), about[0, 1], about[0, 2], about[1, 2]]

@@ -45,35 +45,35 @@ from dataclasses import replace
 import numpy as np
 
 from ...base.errors import UsageError
-from ...base.frames import Array, Bools
 from ...simulate.runs.run_log import RunLog
 from ...study.align import Pair
 from ...study.explanation import (
     ALL_JOINTS,
-    MAX_CONFIDENCE,
     OF_ONE_RUN,
     Explainer,
     Explanation,
+    Parameter,
     Part,
     by_place,
 )
-from .explain_search import MIN_ROWS, Search
+from .direct_faults import noisy_sensors, stuck_joints, stuck_sensors, wrong_drives
+from .evidence_rows import merged, rows_line
+from .explain_search import Search
+from .identify import identify, parameters
 from .log_faults import log_faults
+from .next_motion import with_next
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
 _APPROXIMATE = ("gain", "bias", "friction", "unexplained")
-_MIN_STUCK, _MIN_WRONG, _MIN_WRONG_FAST = 0.4, 0.2, 0.03  # s, minimum durations
+_MIN_WRONG, _MIN_WRONG_FAST = 0.2, 0.03  # s, minimum durations
 _ENDING, _FAST = 0.6, 0.004  # s, end of a run, and the width of its low-pass filter
 _ONSET_TOLERANCE = 0.1  # s, apparent lead of an onset due to the slower low-pass filter
 _MIN_ERROR = 0.05  # share of the torque limit; minimum error of a runaway drive
-_MOVING_QUANTILE = 0.95  # of the torques with which the drives overcame friction
 _FAST_CONFIDENCE = 0.85  # of a drive that runs away, because its data is short
 # Number of joints that are rarely faulty in the same way for different reasons, the highest
 # confidence of such faults, and the relative spread of equal delays.
 _MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
-_NOISE_RATIO = 2.0  # minimum increase of reported noise
-_FINE, _MIN_NOISE = 2e-4, 1.5e-3  # shares of the torque limit
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
@@ -86,7 +86,8 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     if faults:
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
     explained = _explain_correct(log, robot, found)
-    return [*faults, *_of_many_joints(explained, found.robot.names)]
+    explanations = [*faults, *_of_many_joints(explained, found.robot.names)]
+    return with_next(explanations, _by_known_links(found))
 
 
 def _explain_correct(log: RunLog, robot: str, found: TorqueResiduals) -> list[Explanation]:
@@ -110,14 +111,14 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
     Returns the explanations joint by joint, in descending order of confidence.
     """
     found = _by_known_links(found)
-    noise = _noise(found, None)
+    noise = noisy_sensors(found, None)
     without = _outside_of_fits(found, noise)
     if ending is None:
         return Search(found, without, noise).explanations([*without, *noise])
     ending = _by_known_links(ending)
-    noise_at_end = _noise(ending, None)
+    noise_at_end = noisy_sensors(ending, None)
     has = {each.joint for each in without}
-    fast = [each for each in _wrong_drives(ending, _MIN_WRONG_FAST) if each.joint not in has]
+    fast = [each for each in wrong_drives(ending, _MIN_WRONG_FAST) if each.joint not in has]
     fast = [replace(each, confidence=_FAST_CONFIDENCE)
             for each in _unlike_fits(fast, ending, noise_at_end)]  # fmt: skip
     without += _unlike_fits(fast, found, noise)
@@ -133,7 +134,7 @@ def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     has a gain of 0.8. The faults in `OF_ONE_RUN` are attributed to one run. Faults of the second
     run are searched in the negative difference, and replace approximate explanations.
     """
-    of_a, of_b = (_outside_of_fits(each, _noise(each, None)) for each in (a, b))
+    of_a, of_b = (_outside_of_fits(each, noisy_sensors(each, None)) for each in (a, b))
     first = _explain_first(a, b, of_a, of_b)
     second = [
         replace(each, is_second=True)
@@ -178,8 +179,8 @@ def _explain_first(
     # `mine` and `theirs` were found in each run alone. Faults that both have make no difference.
     known = {(each.joint, each.part) for each in theirs}
     own = [each for each in mine if (each.joint, each.part) not in known]
-    difference = replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag)
-    noise = _noise(a, b)
+    difference = _difference(a, b)
+    noise = noisy_sensors(a, b)
     found = Search(difference, [*mine, *theirs], noise).explanations([*own, *noise])
     return [
         replace(each, size=each.size - 1.0, is_difference=True) if each.kind == "gain" else each
@@ -197,6 +198,14 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
+    faults, first, second = _both(a, b, robots, offset)
+    return with_next([*faults, *explain_pair(first, second)], first)
+
+
+def _both(
+    a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
+) -> tuple[list[Explanation], TorqueResiduals, TorqueResiduals]:
+    # Faults of both logs, and the residuals of the corrected logs at the same times.
     first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
     faults, a = log_faults(a, robots[0], first)
     faults_of_b, b = log_faults(b, robots[1], second)
@@ -205,7 +214,12 @@ def explain_runs(
     second = torque_residuals(b, robots[1], times=first.times - offset)
     moved = replace(second, times=first.times, noise=second.noise.later(offset))
     of_b = [replace(each, begin=each.begin + offset, is_second=True) for each in faults_of_b]
-    return [*faults, *of_b, *explain_pair(first, moved)]
+    return [*faults, *of_b], first, moved
+
+
+def _difference(a: TorqueResiduals, b: TorqueResiduals) -> TorqueResiduals:
+    return replace(a, link=a.link - b.link, motor=a.motor - b.motor, lag=a.lag - b.lag,
+                   left_out=merged(a, b))  # fmt: skip
 
 
 def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -> list[Explanation]:
@@ -240,9 +254,9 @@ def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:
 
 def _outside_of_fits(found: TorqueResiduals, noise: Sequence[Explanation]) -> list[Explanation]:
     # Explanations that are not fitted to residuals, at most one per joint.
-    sensors = _stuck_sensors(found)
-    signs = _unlike_fits(_wrong_drives(found, _MIN_WRONG), found, noise, sensors)
-    explanations = sensors + signs + _stuck_joints(found)
+    sensors = stuck_sensors(found)
+    signs = _unlike_fits(wrong_drives(found, _MIN_WRONG), found, noise, sensors)
+    explanations = sensors + signs + stuck_joints(found)
     return list({each.joint: each for each in reversed(explanations)}.values())
 
 
@@ -290,159 +304,15 @@ def _with_runaway_drives(
     return by_place([*clear, *(each for each in explanations if each.joint not in has)], names)
 
 
-def _wrong_drives(found: TorqueResiduals, min_duration: float) -> list[Explanation]:
-    """Returns drives with a wrong sign, whose joint may reach its stop before a fit is possible.
-
-    The residual is twice the commanded torque, except for a part that friction may hold at rest,
-    while the link torques match the motion. In a torque loop, a saturated drive exerts the opposite
-    of the requested torque.
-    """
-    explanations = []
-    link = found.link
-    left = np.where(np.isfinite(found.motor), found.motor, found.lag)
-    # While a joint reverses, its inertia is not subtracted. At rest, an end stop may hold it if the
-    # link torques are unknown.
-    has_links = np.isfinite(link).any()
-    is_judged = np.isfinite(found.motor) | np.isnan(link) & (found.motion.slow | has_links)
-    for joint, name in enumerate(found.robot.names):
-        held, scale = 2.0 * float(found.coulomb[joint]), float(found.scale[joint])
-        twice, error = 2.0 * found.torques.commanded[:, joint], left[:, joint]
-        known, min_twice = is_judged[:, joint], max(5.0 * held, 0.04 * scale)
-        if found.torque_control:
-            twice = 2.0 * found.torques.requested[:, joint]
-            error = twice / 2.0 - found.torques.delivered[:, joint]
-            known, min_twice = np.isfinite(error), scale
-        with np.errstate(invalid="ignore"):
-            is_large = np.abs(twice) > min_twice
-            is_wrong = np.abs(error - twice) < 0.15 * np.abs(twice) + held
-            is_right = np.abs(link[:, joint]) < 0.15 * np.abs(twice)
-        first, last = _longest(is_wrong & is_large & known)
-        rows = slice(max(first - MIN_ROWS, 0), last)  # before the joint reaches its stop
-        judged = np.isfinite(link[rows, joint])
-        if (last - first) * found.step < min_duration or not judged.any():
-            continue
-        if is_right[rows][judged].mean() < 0.5:
-            continue
-        while first > 0 and abs(error[first - 1]) > held + 0.01 * scale:
-            first -= 1
-        explanations.append(Explanation(
-            name, "sign", "drive", -1.0, "", np.nan, MAX_CONFIDENCE, float(found.times[first]),
-            None if last >= len(found.times) - 1 else float(found.times[last - 1]),
-            False, {}, (name,),
-        ))  # fmt: skip
-    return explanations
-
-
-def _stuck_joints(found: TorqueResiduals) -> list[Explanation]:
-    explanations = []
-    coulomb = found.coulomb
-    if "coulomb_friction" in found.undeclared:  # no more than the drives needed while moving
-        moving = np.where(found.motion.slow, 0.0, np.abs(found.lag))
-        coulomb = np.quantile(np.nan_to_num(moving), _MOVING_QUANTILE, axis=0)
-    for joint, name in enumerate(found.robot.names):
-        least = max(0.025 * float(found.scale[joint]), 3.0 * float(coulomb[joint]))
-        first, last = _longest(found.motion.slow[:, joint] & np.isfinite(found.lag[:, joint]))
-        if (last - first) * found.step < _MIN_STUCK:
-            continue
-        lag, sensed = found.lag[first:last, joint], found.link[first:last, joint]
-        sensed = sensed[np.isfinite(sensed)]
-        excess = np.abs(lag) > least
-        is_sensor = len(sensed) > 0 and np.sqrt(np.mean(sensed**2)) > 0.3 * np.sqrt(np.mean(lag**2))
-        if np.ptp(lag) < least or excess.mean() < 0.3 or is_sensor:
-            continue
-        # Before, friction may explain that the joint is at rest.
-        begin = first if first > 0 else int(np.argmax(excess))
-        explanations.append(Explanation(
-            name, "stuck", "joint", float(lag[np.argmax(np.abs(lag))]), _unit(found, joint),
-            np.nan, MAX_CONFIDENCE, float(found.times[begin]),
-            None if last >= len(found.times) - 1 else float(found.times[last - 1]),
-            begin == 0, {}, (name,),
-        ))  # fmt: skip
-    return explanations
-
-
-def _stuck_sensors(found: TorqueResiduals) -> list[Explanation]:
-    explanations = []
-    for joint, (name, (begin, end, value)) in enumerate(
-        zip(found.robot.names, found.noise.held, strict=True)
-    ):
-        rows = (found.times >= begin) & (found.times <= end)
-        expected, least = found.torques.model[rows, joint], 0.001 * found.scale[joint]
-        if end - begin < _MIN_STUCK or not len(expected) or np.ptp(expected) < least:
-            continue
-        explanations.append(Explanation(
-            name, "stuck", "torque sensor", value, _unit(found, joint), np.nan, MAX_CONFIDENCE,
-            begin, None if end >= found.times[-1] else end, begin <= found.times[0], {}, (name,),
-        ))  # fmt: skip
-    return explanations
-
-
-def _noise(a: TorqueResiduals, b: TorqueResiduals | None) -> list[Explanation]:
-    explanations = []
-    rough = np.maximum(a.noise.roughness, _FINE * a.scale)
-    for joint, name in enumerate(a.robot.names):
-        scale, values = float(a.scale[joint]), rough[:, joint]
-        least = _MIN_NOISE * scale
-        found = _rougher(np.log(values))
-        begin, size = None, 0.0
-        if found is not None and np.median(values[found:]) > least:
-            begin, size = found, float(np.median(values[found:]))
-        elif b is not None:
-            other = max(float(np.median(b.noise.roughness[:, joint])), _FINE * scale)
-            size = float(np.median(values))
-            begin = 0 if size > max(_NOISE_RATIO * other, least) else None
-        elif a.robot.n > 2:
-            others = np.delete(np.median(rough, axis=0), joint)
-            of_others = np.median(others), scale * np.median(others / np.delete(a.scale, joint))
-            size = float(np.median(values))
-            begin = 0 if size > max(3.0 * max(of_others), least) else None
-        if begin is None or not np.isfinite(size):
-            continue
-        explanations.append(Explanation(
-            name, "noise", "torque sensor", size, _unit(a, joint), np.nan, MAX_CONFIDENCE,
-            float(a.noise.times[begin]) if begin else float(a.times[0]), None, begin == 0, {},
-            (name,),
-        ))  # fmt: skip
-    return explanations
-
-
-def _rougher(levels: Array) -> int | None:
-    """Returns the window at which log roughness rises by at least log `_NOISE_RATIO`, if any."""
-    count, least = len(levels), 3
-    if count < 2 * least or not np.isfinite(levels).all():
-        return None
-    splits = np.arange(least, count - least + 1)
-    errors = [((levels[:k] - levels[:k].mean()) ** 2).sum()
-              + ((levels[k:] - levels[k:].mean()) ** 2).sum() for k in splits]  # fmt: skip
-    k = int(splits[int(np.argmin(errors))])
-    before, after = levels[:k], levels[k:]
-    spread = np.sqrt(min(errors) / max(count - 2, 1)) + 0.05
-    jump = after.mean() - before.mean()
-    sure = jump > 5.0 * spread * np.sqrt(1.0 / k + 1.0 / (count - k))
-    return k if jump > np.log(_NOISE_RATIO) and jump > 2.0 * spread and sure else None
-
-
-def _longest(rows: Bools) -> tuple[int, int]:
-    """Returns the first row of the longest run of true values, and the row after it."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], rows, [False]])))
-    if not len(edges):
-        return 0, 0
-    begins, ends = edges[::2], edges[1::2]
-    longest = int(np.argmax(ends - begins))
-    return int(begins[longest]), int(ends[longest])
-
-
-def _unit(found: TorqueResiduals, joint: int) -> str:
-    return "Nm" if found.robot.types[joint] == "revolute" else "N"
-
-
 class TorqueExplainer(Explainer):
     """Explains torque differences by the residuals of the robot's model."""
 
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
-    ) -> list[Explanation]:
-        return explain_runs(a, b, robots, offset)
+    ) -> tuple[list[Explanation], list[str]]:
+        faults, first, second = _both(a, b, robots, offset)
+        found = with_next([*faults, *explain_pair(first, second)], first)
+        return found, [rows_line(_difference(first, second))]
 
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
         found = torque_residuals(run, robot)
@@ -454,6 +324,9 @@ class TorqueExplainer(Explainer):
         pair = pair_with_model(run, found)
         return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
 
+    def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
+        return parameters(identify(run, robot))
+
 
 def _about_model(found: TorqueResiduals) -> list[str]:
     lines = []
@@ -464,7 +337,7 @@ def _about_model(found: TorqueResiduals) -> list[str]:
             "changes of its drives are visible. Estimate them with `sero-mj identify`."
         )
     lines += ["model: inverse dynamics of the measured motion; all signals low-pass filtered at "
-              f"{0.16 / found.width:.0f} Hz"]  # fmt: skip
+              f"{0.16 / found.width:.0f} Hz", rows_line(_by_known_links(found))]  # fmt: skip
     if found.torque_control:
         lines.append("Commands come from a joint torque loop that already compensates friction.")
     if not found.has_model:

@@ -8,22 +8,23 @@ Both sides of every joint are linear in the parameters (see `TorqueResiduals`):
 with the motor inertia B, viscous and Coulomb friction v and f, the asymmetry of friction or offset
 of the drive c, the ten parameters p of a body at the flange, and the sensor offsets o.
 Joints are weighted by their residuals (Aitken's generalized least squares, as in Gautier). The
-residuals are not white, so the standard errors are those of Newey and West for autocorrelated
-residuals, of all joints together.
+residuals are not white, so the standard errors are those for autocorrelated residuals of all joints
+together (see `regression`).
 
-A parameter is reported as not identifiable if its variance is more than `_MAX_INFLATION` times that
-of an uncorrelated estimate, or if too few rows contribute to it.
+A parameter is reported as not identifiable if its variance is far larger than that of an
+uncorrelated estimate, or if too few rows contribute to it.
 
-Sources: Newey, West, A simple, positive semi-definite, heteroskedasticity and autocorrelation
-consistent covariance matrix, Econometrica 55(3), 1987; Swevers, Verdonck, De Schutter, Dynamic
-model identification for industrial robots, IEEE Control Systems Magazine 27(5), 2007; Belsley, Kuh,
-Welsch, Regression Diagnostics, 1980 (condition number of scaled columns, variance inflation).
+The samples of angles and torques are not simultaneous to better than a sampling interval. The
+standard errors contain a delay of half an interval, which makes viscous friction look like inertia.
+
+Source: Swevers, Verdonck, De Schutter, Dynamic model identification for industrial robots, IEEE
+Control Systems Magazine 27(5), 2007.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,7 +36,9 @@ from ...base.reduction import rms
 from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog
 from ...study.compare import one_unit, unit_of
+from ...study.explanation import Parameter
 from ...study.figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled
+from .regression import Estimate, condition_number, regression
 from .torque_residuals import TorqueResiduals, torque_residuals
 
 if TYPE_CHECKING:
@@ -43,28 +46,15 @@ if TYPE_CHECKING:
 
 _MAX_ROWS = 4000
 _MIN_MOVING = 20  # rows in which a joint moves
-_MAX_INFLATION = 3000.0
 _INERTIA = 0.3  # kg m2, prior standard deviation of the payload's inertia
 # Share of the torque limit, above the residuals of a perfect run, which are due to friction at low
 # speed and filtering.
 _FLOOR = 2e-5
 _UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # prismatic, revolute
+# Smallest changes that matter in trends: shares of the torque limit for other torques, and for
+# friction and inertia at 1 rad/s and 1 rad/s2; and of a payload, kg.
+_OF_TORQUES, _OF_DRIVES, _OF_LOAD = 1e-3, 2e-4, 0.02
 _MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
-
-
-@dataclass(frozen=True)
-class Estimate:
-    """An estimate in SI units with its standard error, or the reason why it is not identifiable."""
-
-    value: float | None
-    error: float | None = None
-    reason: str | None = None
-
-    def __str__(self) -> str:
-        if self.value is None or self.error is None:
-            return "-"
-        digits = max(0, min(6, int(np.ceil(-np.log10(max(self.error, 1e-12)))) + 1))
-        return f"{self.value + 0.0:.{digits}f} ± {self.error:.1g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,27 +160,27 @@ def _motor_side(
         return [Estimate(None, None, reason)] * 3, np.inf, nothing
     columns = [
         found.motion.signs,
-        found.motion.velocities,
+        found.motion.velocities - 0.5 * found.sample_time * found.motion.accelerations,
         found.motion.accelerations,
         np.ones_like(found.motion.signs),
     ]
     X = np.stack([column[:, k] for column in columns], axis=1)
     y = found.lag[:, k]
     X, y = np.where(rows[:, None], X, 0.0), np.where(rows, y, 0.0)
-    values, covariance, inflation = _regression(X[:, None], y[:, None], np.zeros(4))
-    left = float(np.mean((y - X @ values)[rows] ** 2))
-    covariance = covariance * (1.0 + (_FLOOR * found.scale[k]) ** 2 / max(left, 1e-30))
-    condition = _condition(X[rows])
-    estimates = _estimates(
-        values, covariance, inflation, f"the run moves {name} too little", condition
-    )
+    drift = np.where(rows, _drift(found, found.lag)[:, k], 0.0)
+    fitted = regression(X[:, None], y[:, None], drift=drift[:, None])
+    left = float(np.mean((y - X @ fitted.values)[rows] ** 2))
+    floor = 1.0 + (_FLOOR * found.scale[k]) ** 2 / max(left, 1e-30)
+    condition = condition_number(X[rows])
+    reason = f"the run moves {name} too little (condition number {condition:.0f})"
+    estimates = replace(fitted, covariance=floor * fitted.covariance).estimates(reason)
     if len(np.unique(np.rint(X[rows, 0]))) < 2:
         estimates[0] = Estimate(None, None, f"the run moves {name} in one direction only")
     if _is_negative(estimates[2]):
         unit = _UNITS[found.robot.types[k] == "revolute"][2]
         reason = f"{name} would have {estimates[2]} {unit}. Check that commands are drive torques."
         estimates[2] = Estimate(None, None, reason)
-    fit = np.where(rows, X @ values, np.nan)
+    fit = np.where(rows, X @ fitted.values, np.nan)
     return estimates[:3], condition, fit
 
 
@@ -209,20 +199,24 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     )  # (K, n, 10 + n)
     X, y = np.where(known[..., None], X, 0.0), np.where(known, found.link, 0.0)
     priors = np.concatenate([np.zeros(4), np.full(6, _INERTIA**-2), np.zeros(n)])
+    drift = np.where(known, _drift(found, found.torques.measured), 0.0)
     weights = np.ones(n)
     for _ in range(3):
-        values, covariance, inflation = _regression(X * weights[:, None], y * weights, priors)
-        left = np.where(known, y - X @ values, 0.0)
+        weighted = weights[:, None]
+        fitted = regression(X * weighted, y * weights, priors, drift * weights)
+        left = np.where(known, y - X @ fitted.values, 0.0)
         spread = np.sqrt((left**2).sum(axis=0) / np.maximum(known.sum(axis=0), 1))
         weights = 1.0 / np.hypot(spread, _FLOOR * found.scale)
     # The weights include the floor, the residuals do not.
     is_known = known.any(axis=0)
-    covariance = covariance * float(1.0 / np.mean((weights * spread)[is_known] ** 2))
+    values = fitted.values
+    covariance = fitted.covariance / float(np.mean((weights * spread)[is_known] ** 2))
+    fitted = replace(fitted, covariance=covariance)
     reported = np.r_[0:4, 10 : 10 + n]
-    condition = _condition((X * weights[:, None]).reshape(-1, 10 + n)[:, reported])
-    reason = "the run moves the flange too little"
-    estimates = _estimates(values, covariance, inflation, reason, condition)
-    offsets = _estimates(values[10:], covariance[10:, 10:], inflation[10:], "", condition)
+    condition = condition_number((X * weights[:, None]).reshape(-1, 10 + n)[:, reported])
+    reason = f"the run moves the flange too little (condition number {condition:.0f})"
+    estimates = fitted.estimates(reason)
+    offsets = estimates[10:]
     offsets = [
         each if each.value is not None
         else Estimate(None, None, f"the run moves {joint} too little to separate offset and load")
@@ -248,54 +242,14 @@ def _link_side(found: TorqueResiduals) -> tuple[list[Estimate], list[Estimate], 
     return [mass, *centers], offsets, condition, fit
 
 
-def _regression(X: Array, y: Array, priors: Array) -> tuple[Array, Array, Array]:
-    # Least squares of s series at K times, with columns X (K, s, p) and data y (K, s), zero if
-    # unknown, and inverse prior variances (p,). Returns parameters (p,), their covariance (p, p)
-    # after Newey and West, and their variance inflation factors (p,).
-    H = np.einsum("ksp,ksq->pq", X, X) + np.diag(priors)
-    scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
-    inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-13, hermitian=True)
-    inflation = np.diag(inverse).copy()
-    inverse = inverse / np.outer(scale, scale)
-    # Linearly dependent columns have an infinite inflation.
-    resolved = np.diag(inverse @ H)
-    inflation[(resolved < 0.999) | (scale < 1e-9)] = np.inf
-    values = inverse @ np.einsum("ksp,ks->p", X, y)
-    left = y - X @ values
-    scores = np.einsum("ksp,ks->kp", X, left)
-    used = (X != 0.0).any(axis=(1, 2)).sum()
-    S = scores.T @ scores
-    lags = max(int(np.ceil(1.3 * np.sqrt(used))), 4)
-    for lag in range(1, min(lags, len(scores) - 1) + 1):
-        share = 1.0 - lag / (lags + 1.0)
-        part = scores[lag:].T @ scores[:-lag]
-        S += share * (part + part.T)
-    facts = used * y.shape[1]
-    S *= facts / max(facts - len(values), 1)
-    return values, inverse @ S @ inverse, inflation
-
-
-def _estimates(
-    values: Array, covariance: Array, inflation: Array, reason: str, condition: float
-) -> list[Estimate]:
-    errors = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    why = f"{reason} (condition number {condition:.0f})"
-    return [
-        Estimate(float(value), float(error)) if each < _MAX_INFLATION else Estimate(None, None, why)
-        for value, error, each in zip(values, errors, inflation, strict=True)
-    ]
+def _drift(found: TorqueResiduals, torques: Array) -> Array:
+    # Change of torques (K, n) in half a sampling interval, zero if unknown.
+    rates = np.gradient(torques, found.step, axis=0)
+    return np.asarray(np.nan_to_num(0.5 * found.sample_time * rates))
 
 
 def _is_negative(mass: Estimate) -> bool:
     return mass.value is not None and mass.value < -_MIN_SIGNIFICANCE * (mass.error or 0.0)
-
-
-def _condition(X: Array) -> float:
-    # Condition number of columns that are scaled to length 1; infinite if one is zero.
-    lengths = np.linalg.norm(X, axis=0)
-    if not len(X) or not (lengths > 0).all():
-        return np.inf
-    return float(np.linalg.cond(X / lengths))
 
 
 def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
@@ -310,6 +264,34 @@ def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
     named["payload.mass"] = found.mass, "kg"
     center = dict(zip("xyz", found.center, strict=True))
     return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in center.items()}
+
+
+def parameters(found: Identified) -> list[Parameter]:
+    """Returns the estimates of all joints and of the payload's mass, for trends.
+
+    The parameter `gravity_error` is the root mean square of measured minus model torques that
+    neither a payload nor offsets of the sensors explain.
+    """
+    limits = dict(zip(found.robot.names, found.robot.torque_bounds, strict=True))
+    estimates = {
+        key: pair for key, pair in figures(found).items() if not key.startswith("payload.")
+    }
+    unknown = found.mass.reason if np.isinf(found.condition) else None
+    for k, (joint, left) in enumerate(
+        zip(found.robot.names, (found.link - found.link_fit).T, strict=True)
+    ):
+        known = left[np.isfinite(left)]
+        error = Estimate(rms(known) if len(known) else None, None, unknown)
+        estimates[f"{joint}.gravity_error"] = error, _UNITS[found.robot.types[k] == "revolute"][0]
+    listed = []
+    for key, (each, unit) in estimates.items():
+        joint, _, name = key.rpartition(".")
+        share = _OF_TORQUES if name in ("torque_offset", "gravity_error") else _OF_DRIVES
+        least = share * limits[joint] if np.isfinite(limits[joint]) else 0.0
+        listed.append(Parameter(joint, name, unit, each.value, each.error, each.reason, least))
+    mass = found.mass
+    load = Parameter("payload", "mass", "kg", mass.value, mass.error, mass.reason, _OF_LOAD)
+    return [*listed, load]
 
 
 def as_json(found: Identified) -> dict[str, Any]:

@@ -6,6 +6,8 @@ IJRR 5(3), 1986 (torques of rigid bodies as linear functions of ten parameters).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -14,7 +16,6 @@ from ...robots.assemble.robot_dynamics import GRAVITY
 from ...robots.declared.robot import SerialRobot
 from ...simulate.control.robot_model import RobotModel
 
-_DIFFERENCE_STEP = 1e-4  # s, step of the numerical derivative of the Jacobian
 _ANGLE_STEP = 1e-4  # rad or m, step of the numerical derivative of torques by angles
 PARAMETERS = ("mass", "hx", "hy", "hz", "Ixx", "Iyy", "Izz", "Ixy", "Ixz", "Iyz")
 
@@ -82,8 +83,60 @@ def torques_by_gravity(robot: SerialRobot, q: Array) -> Array:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class LinkMotion:
+    """The motion of the n + 1 DH frames of a robot at K times, base first, in world axes.
+
+    Attributes:
+        poses: poses of the frames, shape (K, n + 1, 4, 4), m.
+        axes: directions of the joint axes, shape (K, n, 3).
+        points: points on the joint axes, shape (K, n, 3), m.
+        angular_velocities: shape (K, n + 1, 3), rad/s.
+        angular_accelerations: shape (K, n + 1, 3), rad/s2.
+        accelerations: accelerations of the origins minus gravity, shape (K, n + 1, 3), m/s2.
+    """
+
+    poses: Array
+    axes: Array
+    points: Array
+    angular_velocities: Array
+    angular_accelerations: Array
+    accelerations: Array
+
+
+def link_motion(robot: SerialRobot, q: Array, v: Array, a: Array) -> LinkMotion:
+    """Returns the motion of the links for joint values, velocities, accelerations (K, n).
+
+    This is the forward recursion of the Newton-Euler algorithm (Luh, Walker, Paul, On-line
+    computational scheme for mechanical manipulators, 1980).
+    """
+    table = robot.kinematics
+    poses = table.frames(q, robot.base_frame)
+    axes, points = table.joint_axes(poses)
+    w, u, s = np.zeros((3, len(q), robot.n + 1, 3))
+    s[:, 0, 2] = GRAVITY
+    for i, parent in enumerate(table.carriers.tolist()):
+        z, rate, change = axes[:, i], v[:, [i]], a[:, [i]]
+        w[:, i + 1], u[:, i + 1] = w[:, parent], u[:, parent]
+        start, end = poses[:, parent, :3, 3], poses[:, i + 1, :3, 3]
+        middle = points[:, i] if table.revolute[i] else end
+        s[:, i + 1] = s[:, parent] + _relative(w[:, parent], u[:, parent], middle - start)
+        if table.revolute[i]:
+            u[:, i + 1] += z * change + np.cross(w[:, parent], z * rate)
+            w[:, i + 1] += z * rate
+            s[:, i + 1] += _relative(w[:, i + 1], u[:, i + 1], end - middle)
+        else:
+            s[:, i + 1] += z * change + 2.0 * np.cross(w[:, parent], z * rate)
+    return LinkMotion(poses, axes, points, w, u, s)
+
+
 def body_torques(
-    robot: SerialRobot, q: Array, v: Array, a: Array, link: int | None = None
+    robot: SerialRobot,
+    q: Array,
+    v: Array,
+    a: Array,
+    link: int | None = None,
+    motion: LinkMotion | None = None,
 ) -> Array:
     """Returns link torques per unit of the `PARAMETERS` of a rigid body, shape (K, n, 10).
 
@@ -96,34 +149,31 @@ def body_torques(
         v: joint velocities, shape (K, n).
         a: joint accelerations, shape (K, n).
         link: index of the DH frame with the body, 0 for the base; None for the flange frame.
+        motion: `link_motion` of these values, if it is already known.
     """
-    table, base = robot.kinematics, robot.base_frame
+    motion = motion or link_motion(robot, q, v, a)
+    table = robot.kinematics
     at, offset = (robot.flange_link, robot.T_n_flange) if link is None else (link, np.eye(4))
-
-    def jacobian(angles: Array) -> Array:
-        return table.jacobian(angles, base, offset, at)
-
-    J = jacobian(q)
-    change = (jacobian(q + _DIFFERENCE_STEP * v) - jacobian(q - _DIFFERENCE_STEP * v)) / (
-        2.0 * _DIFFERENCE_STEP
-    )
-    velocity = np.einsum("tij,tj->ti", J, v)
-    acceleration = np.einsum("tij,tj->ti", J, a) + np.einsum("tij,tj->ti", change, v)
-    acceleration[:, 2] += GRAVITY
-    R = (table.frames(q, base)[..., at, :, :] @ offset)[:, :3, :3]
-
-    def in_body(vectors: Array) -> Array:
-        return np.asarray(np.einsum("tji,tj->ti", R, vectors))
-
-    moving = acceleration[:, :3], acceleration[:, 3:], velocity[:, 3:]
-    s, u, w = (in_body(each) for each in moving)
+    pose = motion.poses[:, at] @ offset
+    R, origin = pose[:, :3, :3], pose[:, :3, 3]
+    w, u = motion.angular_velocities[:, at], motion.angular_accelerations[:, at]
+    s = motion.accelerations[:, at] + _relative(w, u, origin - motion.poses[:, at, :3, 3])
+    s, u, w = (np.asarray(np.einsum("tji,tj->ti", R, each)) for each in (s, u, w))
     wrench = np.zeros((len(q), 6, 10))
     wrench[:, :3, 0] = s
     wrench[:, :3, 1:4] = _cross(u) + _cross(w) @ _cross(w)
     wrench[:, 3:, 1:4] = -_cross(s)
     wrench[:, 3:, 4:] = _tensor_times(u) + _cross(w) @ _tensor_times(w)
-    turned = np.concatenate([np.swapaxes(R, 1, 2) @ J[:, :3], np.swapaxes(R, 1, 2) @ J[:, 3:]], 1)
-    return np.asarray(np.swapaxes(turned, 1, 2) @ wrench)
+    turns, moves = table.revolute[:, None], table.moves[at][:, None]
+    linear = np.where(turns, np.cross(motion.axes, origin[:, None] - motion.points), motion.axes)
+    angular = np.where(turns, motion.axes, 0.0)
+    turned = np.concatenate([linear * moves @ R, angular * moves @ R], axis=2)
+    return np.asarray(turned @ wrench)
+
+
+def _relative(w: Array, u: Array, r: Array) -> Array:
+    # Accelerations (K, 3) at offsets r in bodies that rotate, relative to those of their origins.
+    return np.asarray(np.cross(u, r) + np.cross(w, np.cross(w, r)))
 
 
 def _cross(x: Array) -> Array:

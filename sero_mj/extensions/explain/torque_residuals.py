@@ -22,8 +22,8 @@ and regressors). Khalil and Dombre, Modeling, Identification and Control of Robo
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -146,12 +146,15 @@ class TorqueResiduals:
             friction, shape (K, n), Nm or N; NaN while a joint is slow or reverses.
         lag: commanded minus measured torques, shape (K, n).
         width: standard deviation of the low-pass filter, s.
+        sample_time: time between two rows of the run, s.
         scale: torque limits, or the largest torques of joints without a limit, shape (n,).
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
         no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
         undeclared: keys of `[dynamics]` that are not declared. The friction and motor inertia of
             `motor` are then fitted to this run, so that only their changes are visible.
+        left_out: mapping from reasons to the rows without residuals of link and motor for this
+            reason, shape (2, K, n).
     """
 
     robot: SerialRobot
@@ -163,15 +166,22 @@ class TorqueResiduals:
     motion: JointMotion
     noise: SensorNoise
     width: float
+    sample_time: float
     scale: Array
     coulomb: Array
     torque_control: bool
     no_model: str
     undeclared: tuple[str, ...] = ()
+    left_out: Mapping[str, Bools] = field(default_factory=dict)
 
     @property
     def has_model(self) -> bool:
         return not self.no_model
+
+    @cached_property
+    def dynamics(self) -> RobotDynamics:
+        """The dynamics of the robot."""
+        return robot_dynamics(self.robot)
 
     @cached_property
     def by_angle(self) -> Array:
@@ -223,7 +233,8 @@ def torque_residuals(
     # The torques of a row act in the step before it, so the state is that of the previous row.
     q, v = rows["q"][1:-1], np.diff(rows["q"], axis=0)[:-1] / step
     a = np.diff(rows["q"], n=2, axis=0) / step**2
-    a[_jumps(a)] = np.nan
+    jumps = _jumps(a)
+    a[jumps] = np.nan
     at, measured, commanded = rows["t"][2:, 0], rows["measured"][2:], rows["commanded"][2:]
     low_pass = _LowPass(at, step, times, max_rows, window)
     if len(low_pass.times) < _MIN_ROWS:
@@ -296,11 +307,24 @@ def torque_residuals(
         motion=JointMotion(smooth, signs, acceleration, slow, links),
         noise=SensorNoise(rough, at[1] + windows, held),
         width=low_pass.width,
+        sample_time=step,
         scale=scale,
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
         undeclared=undeclared,
+        left_out=_left_out(
+            low_pass,
+            missing=np.stack(
+                [_any_joint(~np.isfinite(q)) | ~np.isfinite(measured), ~np.isfinite(q + lag)]
+            ),
+            jumps=np.stack([_any_joint(jumps), jumps]),
+            stops=_at_stops(robot, q),
+            coupled=is_coupled(robot),
+            saturated=saturated & torque_control,
+            slow=slow,
+            reverses=reverses,
+        ),
     )
 
 
@@ -369,6 +393,39 @@ def _only_of_links(robot: SerialRobot, q: Array, measured: Array) -> Array:
     free = np.where(_at_stops(robot, q), np.nan, measured)
     free[:, is_coupled(robot)] = np.nan
     return free
+
+
+def _any_joint(rows: Bools) -> Bools:
+    # Whether any joint is concerned, as link torques depend on all joints, (T, n).
+    return np.broadcast_to(rows.any(axis=1, keepdims=True), rows.shape)
+
+
+def _left_out(
+    low_pass: _LowPass,
+    *,
+    missing: Bools,
+    jumps: Bools,
+    stops: Bools,
+    coupled: Bools,
+    saturated: Bools,
+    slow: Bools,
+    reverses: Bools,
+) -> dict[str, Bools]:
+    # Reasons why residuals of link and motor are unknown, with masks (2, K, n). All but the last
+    # two arguments are masks of the rows before the filter.
+    def near(rows: Bools) -> Bools:
+        return np.isnan(low_pass(np.where(rows, np.nan, 0.0)))
+
+    no = np.zeros_like(slow)
+    return {
+        "gap or missing value": np.stack([near(each) for each in missing]),
+        "jump of an angle": np.stack([near(each) for each in jumps]),
+        "coupled joint": np.stack([no | coupled, no]),
+        "end stop": np.stack([near(stops), no]),
+        "saturated": np.stack([no, near(saturated)]),
+        "at rest": np.stack([no, slow]),
+        "reversing": np.stack([no, reverses]),
+    }
 
 
 def _without_fit(residuals: Array, columns: Sequence[Array]) -> Array:

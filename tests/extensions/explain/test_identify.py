@@ -15,14 +15,8 @@ from runs import HOME, record_run, simulated
 
 from sero_mj.base.errors import UsageError
 from sero_mj.cli import main
-from sero_mj.extensions.explain.identify import (
-    Estimate,
-    _brief,
-    _regression,
-    as_toml,
-    identify,
-    remarks,
-)
+from sero_mj.extensions.explain.identify import _brief, as_toml, identify, remarks
+from sero_mj.extensions.explain.regression import Estimate, regression
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
@@ -211,9 +205,9 @@ def test_autocorrelated_residuals_increase_the_errors() -> None:
         noise = np.zeros(K)
         for k in range(1, K):  # AR(1)
             noise[k] = 0.8 * noise[k - 1] + rng.normal()
-        found, covariance, _ = _regression(X, (X[:, 0] @ [2.0, -1.0] + noise)[:, None], np.zeros(2))
-        values.append(found)
-        spread.append(np.sqrt(np.diag(covariance)))
+        found = regression(X, (X[:, 0] @ [2.0, -1.0] + noise)[:, None])
+        values.append(found.values)
+        spread.append(np.sqrt(np.diag(found.covariance)))
     assert np.mean(values, axis=0) == pytest.approx([2.0, -1.0], abs=0.15)
     ratio = np.mean(spread, axis=0) / np.std(values, axis=0)
     assert ((ratio > 0.7) & (ratio < 1.4)).all(), ratio

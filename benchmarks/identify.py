@@ -1,0 +1,163 @@
+"""Measures how often identified parameters are within 1, 2 and 3 standard errors of the truth.
+
+    python benchmarks/identify.py simulate [--runs 200] [--jobs 2]
+    python benchmarks/identify.py judge [--links] [--commanded]
+
+`simulate` writes runs of an independent simulation in plain MuJoCo (see `verdicts/plant.py`) with
+random friction, motor inertia, payload, sensor offsets and noise to out/identify. It skips runs
+that are already there, so it can be interrupted. `judge` identifies each run and prints the share
+of true values within 1, 2 and 3 standard errors, by kind of parameter.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterable
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+HERE = Path(__file__).resolve().parent
+sys.path[:0] = [str(HERE.parent), str(HERE / "verdicts")]  # the product of this checkout
+
+import mujoco
+import numpy as np
+from plant import Log, Plant, load_robot
+
+from sero_mj.cli.arguments import read_scene
+from sero_mj.extensions.explain.identify import figures, identify
+from sero_mj.extensions.explain.regression import Estimate
+from sero_mj.robots.declared.robot import SerialRobot
+from sero_mj.simulate.runs.run_log import RunLog
+
+ROBOTS, DURATION = ("lwr", "fr3"), 10.0
+OUT = Path("out/identify")
+Truth = dict[str, Any]
+
+
+def make_plant(seed: int) -> tuple[Plant, Truth]:
+    """Returns a random plant and its parameters, in the flange frame for the payload."""
+    robot = load_robot(ROBOTS[seed % len(ROBOTS)])
+    rng = np.random.default_rng([seed, 7])
+    plant, n = Plant(robot, rng, duration=DURATION), len(robot.limits)
+    plant.viscous = robot.viscous * rng.uniform(0.5, 2.0, n)
+    plant.coulomb = robot.coulomb * rng.uniform(0.5, 2.0, n)
+    plant.motor_inertias = robot.motor_inertias * rng.uniform(0.7, 1.5, n)
+    mass, center = rng.uniform(0.3, 3.0), rng.uniform([-0.06, -0.06, 0.0], [0.06, 0.06, 0.12])
+    bias, spread = rng.uniform(-0.01, 0.01, n) * robot.limits, rng.uniform(0.0, 6e-4)
+
+    def load(spec: Any) -> None:
+        body = list(spec.joints)[-1].parent.add_body(pos=[0.0, 0.0, robot.flange])
+        body.add_geom(size=[0.03], pos=center, mass=mass)
+
+    def biased(log: Log) -> Log:
+        noise = rng.normal(0.0, spread, log.torques.shape) * robot.limits
+        return log.with_(torques=log.torques + bias + noise)
+
+    plant.edits.append(load)
+    plant.sensors.append(biased)
+    names = [f"payload.{each}" for each in ("mass", "x", "y", "z")]
+    truth = dict(zip(names, (mass, *center), strict=True))
+    for key, values in (
+        ("coulomb_friction", plant.coulomb),
+        ("viscous_friction", plant.viscous),
+        ("motor_inertia", plant.motor_inertias),
+        ("torque_offset", bias),
+    ):
+        truth |= {f"{joint}.{key}": value
+                  for joint, value in zip(robot.joints, values, strict=True)}  # fmt: skip
+    return plant, truth
+
+
+def simulate(seed: int) -> int:
+    """Writes the run of a seed, and the inverse dynamics of its links at random states."""
+    file = OUT / f"run{seed}.npz"
+    if not file.exists():
+        plant, truth = make_plant(seed)
+        log = plant.run()
+        model = plant._true_model(plant.edits)
+        data, rng = mujoco.MjData(model), np.random.default_rng(seed)
+        states = rng.normal(0.0, 1.0, (3, 60, model.nv))
+        torques = np.empty((60, model.nv))
+        for q, v, a, torque in zip(*states, torques, strict=True):
+            data.qpos[:], data.qvel[:], data.qacc[:] = q, v, a
+            mujoco.mj_inverse(model, data)
+            torque[:] = data.qfrc_inverse - model.dof_armature * a
+        np.savez_compressed(
+            file, times=log.times, angles=log.angles, torques=log.torques, commands=log.commands,
+            states=states, link_torques=torques, names=list(truth), values=list(truth.values()),
+        )  # fmt: skip
+    return seed
+
+
+@cache
+def robot_of(name: str) -> SerialRobot:
+    robot = read_scene(load_robot(name).scene).robots[name]
+    assert isinstance(robot, SerialRobot)
+    return robot
+
+
+def read(seed: int) -> tuple[RunLog, str, Truth]:
+    """Returns the run of a seed, its robot and its true parameters."""
+    name = ROBOTS[seed % len(ROBOTS)]
+    with np.load(OUT / f"run{seed}.npz") as file:
+        rows = {key: file[key] for key in ("angles", "torques", "commands")}
+        times, truth = file["times"], dict(zip(file["names"], file["values"], strict=True))
+    signals = {f"{name}_joint_angles": rows["angles"], f"{name}_torques": rows["torques"],
+               f"{name}_commanded_torques": rows["commands"]}  # fmt: skip
+    return RunLog({name: robot_of(name)}, signals, times, f"run{seed}"), name, truth
+
+
+def judge(seed: int) -> list[tuple[str, float]]:
+    """Returns kinds of parameters and their errors, in standard errors; NaN if not identifiable."""
+    log, name, truth = read(seed)
+    found = {key: each for key, (each, _) in figures(identify(log, name)).items()}
+    return [(kind_of(key), distance(found[key], value)) for key, value in truth.items()]
+
+
+def kind_of(key: str) -> str:
+    what = key.rpartition(".")[2]
+    return "payload center" if what in "xyz" else "payload mass" if what == "mass" else what
+
+
+def distance(estimate: Estimate, value: float) -> float:
+    if estimate.value is None or not estimate.error:
+        return np.nan
+    return (estimate.value - value) / estimate.error
+
+
+def report(rows: Iterable[tuple[str, float]]) -> None:
+    by_kind: dict[str, list[float]] = {}
+    for kind, size in rows:
+        for key in (kind, "all"):
+            by_kind.setdefault(key, []).append(size)
+    print("| parameter | values | not identifiable | 1 | 2 | 3 standard errors | rms |")
+    print("|---|---|---|---|---|---|---|")
+    for kind, sizes in by_kind.items():
+        known = np.abs([each for each in sizes if np.isfinite(each)])
+        shares = " | ".join(f"{100 * np.mean(known < k):.1f} %" for k in (1, 2, 3))
+        spread = np.sqrt(np.mean(known**2)) if len(known) else np.nan
+        print(f"| {kind} | {len(known)} | {len(sizes) - len(known)} | {shares} | {spread:.2f} |")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
+    parser.add_argument("what", choices=("simulate", "judge"))
+    parser.add_argument("--runs", type=int, default=200)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    OUT.mkdir(parents=True, exist_ok=True)
+    with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
+        if options.what == "simulate":
+            list(pool.map(simulate, range(options.runs)))
+        else:
+            rows = pool.map(judge, range(options.runs))
+            report(each for row in rows for each in row)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
