@@ -17,12 +17,7 @@ from ..decor.billboards import LineFormat, has_chosen_lines
 from ..decor.geom_buffer import FIRST_SHAPE, GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
-<<<<<<< HEAD
-from .capture import CapturedRun, eye
-=======
-from ..decor.ribbons import ribbon_shape
 from .capture import CapturedRun, Mark, eye
->>>>>>> main
 from .frame import Labels
 from .model import Look
 from .packing import PackedArrays, differing, poses, rounded, types_of
