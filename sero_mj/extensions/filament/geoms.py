@@ -39,8 +39,9 @@ SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 # look almost the same in any light.
 _DARK = 1 / 256
 _REFLECTANCE = 0.08  # reflectance per specular: the default specular of 0.5 gives 0.04 (plastic)
-# Fraction of the color of doubles, arrows and axes that depends on light; the rest is emitted.
-_LIT = 0.7
+# Fraction of the color of doubles, and of arrows and axes, that depends on light; the rest is
+# emitted.
+_LIT, _SHAPE_LIT = 0.7, 0.5
 # Filament compresses colors near white. Rows: displayed linear color, and the light it requires.
 # Source: grays and colors rendered by MuJoCo 4.0.0, with an accuracy of 2 of 255.
 _NEAR_WHITE = (
@@ -158,7 +159,7 @@ class GeomPool:
             is_own = of[k] == _GEOM and 0 <= geom < model.ngeom and model.geom_type[geom] == kind
             is_double = of[k] == _GEOM and (decor[k] or (is_own and bool(self._doubles[geom])))
             is_shape = kind == _MESH and meshes[k] >= FIRST_SHAPE
-            lit = _LIT if is_double or is_shape else 0.0 if decor[k] else 1.0
+            lit = _LIT if is_double else _SHAPE_LIT if is_shape else 0.0 if decor[k] else 1.0
             if kind == _PLANE and not is_own and len(self._models) > 1:
                 geoms, geom = self._models[1], 0  # the floor of the surroundings
                 is_own = geoms.model.ngeom > 0
