@@ -46,7 +46,7 @@ def main() -> int:
     ]
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / "results.jsonl"
-    if not options.resume:
+    if not (options.resume and results.exists()):
         results.write_text("", "utf-8")
     rows = [json.loads(line) for line in results.read_text("utf-8").splitlines()]
     done = {(row["robot"], row["fault"], row["seed"]) for row in rows}

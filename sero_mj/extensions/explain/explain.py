@@ -52,12 +52,14 @@ from ...study.explanation import (
     OF_ONE_RUN,
     Explainer,
     Explanation,
+    Parameter,
     Part,
     by_place,
 )
 from .direct_faults import noisy_sensors, stuck_joints, stuck_sensors, wrong_drives
 from .evidence_rows import merged, rows_line
 from .explain_search import Search
+from .identify import identify, parameters
 from .log_faults import log_faults
 from .next_motion import with_next
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
@@ -321,6 +323,9 @@ class TorqueExplainer(Explainer):
         explanations = explain_run(run, robot, replace(found, no_model=""))
         pair = pair_with_model(run, found)
         return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
+
+    def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
+        return parameters(identify(run, robot))
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
