@@ -71,12 +71,12 @@ class Edges:
 
     def share(self, first: int, last: int) -> Array:
         # The filtered share of an effect between two edges, (K,).
-        return self._step(first) - self._step(last)
+        return np.asarray(self._step(first) - self._step(last))
 
     def _step(self, edge: int) -> Array:
         step = (np.arange(self.rows) >= self._first[edge]).astype(np.float64)
         np.add.at(step, self._near[edge], self._on[edge] - self._is_after[edge])
-        return step
+        return np.asarray(step)
 
     def _after(self, values: Array, on: Array) -> Array:
         # Sums of values (K, ...) with the weights after each edge, (E, ...). The weights are 0
@@ -87,7 +87,7 @@ class Edges:
         found = sums[self._first]
         for column, more in zip(self._near.T, (on - self._is_after).T, strict=True):
             found += more[:, None] * flat[column]
-        return found.reshape(-1, *values.shape[1:])
+        return np.asarray(found.reshape(-1, *values.shape[1:]))
 
     def sums(self, X: Array, y: Array) -> Sums:
         # Normal equations between any two edges, for columns X (c, K, p) and data y (c, K).
