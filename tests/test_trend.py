@@ -8,12 +8,14 @@ import os
 import re
 from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from runs import record_packets
 
+from sero_mj.base.reduction import rms_with_error
 from sero_mj.cli import main
 from sero_mj.data.record.recording_format import RecordingClock
 from sero_mj.study import trend
@@ -44,13 +46,19 @@ STRUCTURE = "q:2F measured:2F commanded:2F heat:2F"
 
 
 def record(
-    path: Path, date: datetime, *, amplitude: float = 1.0, heat: float = 35.0, scene: str = SCENE
+    path: Path,
+    date: datetime,
+    *,
+    amplitude: float = 1.0,
+    heat: float = 35.0,
+    motion: float = 0.3,
+    scene: str = SCENE,
 ) -> Path:
     """Records torque errors that are sines, with the root mean square `amplitude` / sqrt(2)."""
     times = np.arange(200) / 200.0
     wave = np.sin(2.0 * np.pi * 4.0 * times)[:, None]
     rows = {
-        "q": 0.3 * wave @ np.ones((1, 2)),
+        "q": motion * wave @ np.ones((1, 2)),
         "measured": np.zeros((200, 2)),
         "commanded": wave @ np.array([[1.0, amplitude]]),
         "heat": np.tile([31.0, heat], (200, 1)),
@@ -91,7 +99,9 @@ def test_steps_and_drifts_are_reported_with_their_dates(
     before, after = (f"{FIRST + timedelta(days=k):%Y-%m-%d}" for k in (6, 7))
     rose = "upper rms torque error rose from 0.7"
     (line,) = (line for line in lines if line.startswith(rose))
-    assert line.endswith(f"Nm (+60 %) between {before} and {after}") or "(+59 %)" in line
+    step = re.search(r"to 1.1\d Nm \(\+(\d+) %\) between (\S+) and (\S+)$", line)
+    assert step is not None and step.groups()[1:] == (before, after)
+    assert int(step[1]) == pytest.approx(60, abs=2)
     (drift,) = (line for line in lines if "rises by" in line)
     rate = re.search(r"upper temperatures rises by ([\d.]+) ± ([\d.]+) °C per day since", drift)
     assert rate is not None
@@ -154,6 +164,31 @@ def test_recordings_that_cannot_be_compared_are_skipped_with_the_reason(
     assert "http" not in text.replace('http-equiv="Content-Security-Policy"', "")
     assert "%%" not in text
     assert ElementTree.parse(nights / "t.xml").getroot().get("skipped") == "4"
+
+
+@pytest.mark.slow
+def test_page_draws_all_values_and_sorts_its_table(nights: Path, browser: Any) -> None:
+    compare(nights, "-o", nights / "trend.html", "--quiet")
+    page, errors = browser.new_page(viewport={"width": 390, "height": 844}), []
+    page.on("console", lambda message: errors.append(message.text))
+    page.on("pageerror", lambda error: errors.append(str(error)))
+    page.goto(f"file://{nights / 'trend.html'}")
+    assert page.evaluate("document.documentElement.scrollWidth") == 390
+    assert page.locator("svg .point").count() == 4 * (NIGHTS + 1)
+    # A screen length is proportional to time, and the old baseline is moved closer.
+    figure = page.locator("figure.changed").first
+    at = [float(each.get_attribute("cx")) for each in figure.locator(".point").all()]
+    assert np.ptp(np.diff(at)[1:]) < 0.2 and at[1] - at[0] < 3.0 * (at[2] - at[1])
+    assert page.locator("svg a").nth(1).get_attribute("href") == "night00.mcap"
+    names = [row.split("\t")[1] for row in page.locator("tbody tr").all_inner_texts()]
+    assert set(names[:2]) == {"rms torque error", "temperatures"}  # the significant ones
+    for heading, column in (("baseline", 3), ("joint", 0)):
+        page.get_by_role("button", name=heading).click()
+        cells = [row.split("\t")[column] for row in page.locator("tbody tr").all_inner_texts()]
+        key = float if heading == "baseline" else str
+        assert cells == sorted(cells, key=key, reverse=True)
+    assert errors == []
+    page.close()
 
 
 def test_unusable_baseline_is_an_error(nights: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -244,6 +279,23 @@ def test_false_alarms_of_a_whole_report_are_rare() -> None:
     assert np.mean(alarms) <= 0.05
 
 
+def test_error_of_a_root_mean_square_is_that_of_independent_runs() -> None:
+    rng = np.random.default_rng(2)
+    white = rng.standard_normal((400, 300)) + 0.5
+    found, errors = np.transpose([rms_with_error(run) for run in white])
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(np.std(found), rel=0.15)
+    assert np.mean(found**2) == pytest.approx(1.25, rel=0.02)
+    assert np.isnan(rms_with_error(np.array([1.0, np.nan, 2.0]))).all()
+    assert rms_with_error(np.zeros(9)) == (0.0, 0.0)
+
+
+def test_other_motion_is_noted(nights: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record(nights / "z_fast.mcap", FIRST + timedelta(days=20), motion=0.6)
+    compare(nights)
+    shown = capsys.readouterr().out.replace("\n  ", " ")
+    assert "another motion than in the baseline in z_fast.mcap: parameters may differ" in shown
+
+
 def test_date_is_that_of_the_recording_or_of_the_file(tmp_path: Path) -> None:
     file = record(tmp_path / "run.mcap", FIRST)
     os.utime(file, (1e9, 1e9))
@@ -257,4 +309,5 @@ def test_date_is_that_of_the_recording_or_of_the_file(tmp_path: Path) -> None:
         assert is_of_file and date.timestamp() == 1.5e9
     days = [FIRST, FIRST + timedelta(days=1)]
     assert date_texts(days) == ["2026-10-30", "2026-10-31"]
-    assert date_texts([FIRST, FIRST + timedelta(minutes=2)])[1] == "2026-10-30 03:17"
+    assert date_texts([FIRST, FIRST + timedelta(minutes=2)]) == ["03:15", "03:17"]
+    assert date_texts([*days, FIRST + timedelta(minutes=2)])[2] == "2026-10-30 03:17"

@@ -56,7 +56,7 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     own = {key: shared[key] for key in ("robot", *RunOptions.model_fields) if key in shared}
     run, robot, joints = _measured(TrendOptions(**own), file)
     row = {"date": run.date.isoformat(timespec="seconds"), "date_of_file": run.is_date_of_file,
-           "robot": robot, "joints": ", ".join(joints)}  # fmt: skip
+           "robot": robot, "joints": ", ".join(joints), "motion": run.motion}  # fmt: skip
     for each in run.parameters:
         row |= {each.key: each.value, f"{each.key}.error": each.error,
                 f"{each.key}.unit": each.unit, f"{each.key}.reason": each.reason}  # fmt: skip
@@ -65,12 +65,13 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
 
 def _measured(options: TrendOptions, file: Path) -> tuple[Measured, str, list[str]]:
     from ..study.align import choose_robot
-    from ..study.trend import Measured, date_of, measure
+    from ..study.trend import Measured, date_of, measure, motion_of
 
     log = options.read(file, options.source)
     robot = choose_robot(log, options.robot)
     date, is_of_file = date_of(file)
-    run = Measured(str(file), date, is_of_file, measure(log, robot))
+    motion = motion_of(log, robot)
+    run = Measured(str(file), date, is_of_file, measure(log, robot), motion)
     return run, robot, list(log.robots[robot].names)
 
 
@@ -82,7 +83,14 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
     Raises:
         SeroError: the baseline cannot be used.
     """
-    from ..study.trend import as_json, as_table, find_trends, missing_parameters, test_cases
+    from ..study.trend import (
+        as_json,
+        as_table,
+        find_trends,
+        is_other_motion,
+        missing_parameters,
+        test_cases,
+    )
 
     begin, quiet = time.perf_counter(), options.quiet
     good, robot, joints = _measured(options, baseline)
@@ -99,9 +107,11 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
     if not used:
         raise UsageError(f"none of {len(rows)} recordings can be compared with {baseline}")
     notes = [f"{run.path}: {why}" for run in used for why in missing_parameters(run, good)]
-    if of_files := [Path(run.path).name for run in (good, *used) if run.is_date_of_file]:
-        named = f"{of_files[0]} and {len(of_files) - 1} more" if of_files[1:] else of_files[0]
-        notes.append(f"no start time in {named}: the date is that of the file")
+    if of_files := [run for run in (good, *used) if run.is_date_of_file]:
+        notes.append(f"no start time in {_named(of_files)}: the date is that of the file")
+    if moved := [run for run in used if is_other_motion(run.motion, good.motion)]:
+        notes.append(f"another motion than in the baseline in {_named(moved)}: parameters may "
+                     "differ because of the motion")  # fmt: skip
     tolerance, limit = 0.01 * options.tolerance_change, 0.01 * options.limit
     trends = find_trends(good, used, tolerance, limit)
     changed = [each for each in trends if each.is_changed]
@@ -133,6 +143,11 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
     return 1 if changed else 0
 
 
+def _named(runs: list[Measured]) -> str:
+    more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
+    return f"{Path(runs[0].path).name}{more}"
+
+
 def _sorted_out(
     rows: Rows, good: Measured, robot: str, joints: list[str]
 ) -> tuple[list[Measured], list[tuple[str, str]]]:
@@ -159,7 +174,7 @@ def _sorted_out(
             skipped.append((str(path), f"no parameter in common with the baseline: {why}"))
             continue
         date = datetime.fromisoformat(row["date"])
-        used.append(Measured(str(path), date, row["date_of_file"], parameters))
+        used.append(Measured(str(path), date, row["date_of_file"], parameters, row["motion"]))
     return used, skipped
 
 
@@ -171,4 +186,6 @@ def _parameter(row: Mapping[str, Any], wanted: Parameter) -> Parameter:
 
 
 def _without_reasons(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {key: value for key, value in row.items() if not key.endswith(".reason")}
+    return {
+        key: value for key, value in row.items() if key != "motion" and not key.endswith(".reason")
+    }

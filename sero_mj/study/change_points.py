@@ -123,7 +123,7 @@ def scatter(times: Array, values: Array, errors: Array) -> Array:
 def _penalty(chance: float, count: int) -> float:
     # Squared Student t of a two-sided probability, by the inverse of Wallace's approximation
     # (Annals of Mathematical Statistics 30, 1959). Not all differences are independent.
-    freedom = max(0.75 * (count - 1), _MIN_FREEDOM) if count > _MIN_DIFFERENCES else 1e6
+    freedom = max(0.75 * (count - 1), _MIN_FREEDOM)
     normal = -_NORMAL.inv_cdf(0.5 * chance / max(2 * (count - 1), 1))
     factor = (8.0 * freedom + 3.0) / (8.0 * freedom + 1.0)
     return float(freedom * (exp(min((normal * factor) ** 2 / freedom, log(1e6))) - 1.0))

@@ -14,6 +14,7 @@ import numpy as np
 from ..base.errors import UsageError
 from ..base.frames import Array
 from ..base.reduction import rms
+from ..data.record.csv_files import is_table
 from ..data.record.formats import look_into
 from ..simulate.runs.run_log import RunLog, event_of, torque_error
 from .change_points import Segment, fit_segments, scatter
@@ -28,10 +29,14 @@ _CHANCE = 0.05  # probability of a change point in a report of a robot that does
 _MIN_CHANGE = 1e-3  # share of the torque limit, smallest change of a torque error that matters
 _MIN_HEATING = 5.0  # smallest change of a temperature that matters, K
 _DEGREES = "°C"
+# Motions differ if a mean angle (rad or m) or the rms velocity, as a share of that of the fastest
+# joint, differs by more.
+_OTHER_ANGLE, _OTHER_SPEED = 0.1, 0.2
 _FIRST_YEAR = 2000  # of a clock that was set
 _HORIZON = 3650.0  # days; later dates are not predicted
 _MAX_ROWS = 60  # maximum number of rows of a table in the terminal
 _DATES = ("%Y-%m-%d", "%Y-%m-%d %H:%M", "%Y-%m-%d %H:%M:%S")
+_TIMES = ("%H:%M", "%H:%M:%S")  # if all dates are of the same day
 
 
 def date_of(path: Path) -> tuple[datetime, bool]:
@@ -40,7 +45,7 @@ def date_of(path: Path) -> tuple[datetime, bool]:
     Tables contain no date, and some robots have no clock. In these cases, the time of the last
     modification of the file is used.
     """
-    start = getattr(look_into(path), "start", None) if path.suffix.lower() != ".csv" else None
+    start = None if is_table(path) else look_into(path).start
     if start is not None and start.year >= _FIRST_YEAR:
         return start.astimezone(), False
     return datetime.fromtimestamp(path.stat().st_mtime).astimezone(), True
@@ -61,12 +66,14 @@ def measure(log: RunLog, robot: str) -> list[Parameter]:
     has = log.has(robot, "torques") and log.has(robot, "commanded_torques")
     errors = torque_error(log, robot) if has else None
     for k, joint in enumerate(declared.names):
-        value = None if errors is None else _number(rms(errors[:, k]))
+        value = np.nan if errors is None else rms(errors[:, k])
         reason = None if has else "the run has no measured or no commanded torques"
         limit = float(log.torque_limits(robot)[k])
         least = _MIN_CHANGE * limit if np.isfinite(limit) else 0.0
         unit = unit_of("torques", declared.types[k])
-        found.append(Parameter(joint, "rms_torque_error", unit, value, None, reason, least))
+        found.append(
+            Parameter(joint, "rms_torque_error", unit, _number(value), None, reason, least)
+        )
     for name in declared.inputs:
         if "temperature" in name and event_of(robot, name) in log.signals:
             values = np.ma.masked_invalid(log.of(robot, name)).mean(axis=0).filled(np.nan)
@@ -78,8 +85,23 @@ def measure(log: RunLog, robot: str) -> list[Parameter]:
     return sorted(found, key=lambda each: order.get(each.joint, declared.n))
 
 
-def _number(value: float | None) -> float | None:
-    return None if value is None or not np.isfinite(value) else float(value)
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def motion_of(log: RunLog, robot: str) -> list[float]:
+    """Returns the mean angle (rad or m) and the rms velocity of each joint, as 2 n numbers."""
+    angles, velocities = log.of(robot, "joint_angles"), log.of(robot, "joint_velocities")
+    return [*map(float, np.nanmean(angles, axis=0)), *(rms(each) for each in velocities.T)]
+
+
+def is_other_motion(motion: Sequence[float], reference: Sequence[float]) -> bool:
+    """Returns whether two motions by `motion_of` differ so much that parameters may differ."""
+    (angles, speeds), (angles0, speeds0) = (
+        np.reshape(each, (2, -1)) for each in (motion, reference)
+    )
+    is_elsewhere = bool((np.abs(angles - angles0) > _OTHER_ANGLE).any())
+    return is_elsewhere or bool((np.abs(speeds - speeds0) > _OTHER_SPEED * speeds0.max()).any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,12 +289,13 @@ def _shown(value: float, precision: float) -> str:
 
 @dataclass(frozen=True)
 class Measured:
-    """A recording and its parameters, or the error because of which it is skipped."""
+    """A recording, its local start time (see `date_of`), parameters and motion."""
 
     path: str
     date: datetime
     is_date_of_file: bool
     parameters: Sequence[Parameter]
+    motion: Sequence[float] = ()
 
 
 def find_trends(
@@ -291,14 +314,11 @@ def find_trends(
     """
     runs = sorted([baseline, *others], key=lambda run: run.date)
     texts = dict(zip(map(id, runs), date_texts([run.date for run in runs]), strict=True))
+    by_key = [{each.key: each for each in run.parameters if each.value is not None} for run in runs]
     series = []
     for wanted in baseline.parameters:
-        known = [
-            (run, each)
-            for run in runs
-            for each in run.parameters
-            if each.key == wanted.key and each.value is not None
-        ]
+        known = [(run, found[wanted.key]) for run, found in zip(runs, by_key, strict=True)
+                 if wanted.key in found]  # fmt: skip
         if wanted.value is not None and len(known) > 1:
             series.append((wanted, known))
     if not series:
@@ -319,8 +339,9 @@ def find_trends(
 
 
 def date_texts(dates: Sequence[datetime]) -> list[str]:
-    """Returns dates as text, with the time of day if several recordings are of the same day."""
-    for form in _DATES:
+    """Returns dates as short texts, with the time of day if this is needed to distinguish them."""
+    is_one_day = len({date.date() for date in dates}) == 1
+    for form in _TIMES if is_one_day else _DATES:
         found = [f"{date:{form}}" for date in dates]
         if len(set(found)) == len(found):
             break

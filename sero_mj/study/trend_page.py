@@ -15,11 +15,11 @@ from ..viewer.player.page import fill_template, hash_of
 from .trend import Trend
 
 _WIDTH, _HEIGHT = 200.0, 112.0
-_LEFT, _RIGHT, _TOP, _BOTTOM = 34.0, 194.0, 16.0, 96.0  # of the plotted area
+_LEFT, _RIGHT, _TOP, _BOTTOM = 38.0, 194.0, 16.0, 96.0  # of the plotted area
 _MARGIN = 5.0  # between the area's edges and the points
 _MIN_RANGE = 0.2  # range of a panel as a share of the baseline, so that noise does not fill it
 _FAR = 1.5  # a baseline that is more than this share of the other times earlier is not to scale
-_TEXT = 5.2  # width of a character
+_TEXT = 5.8  # width of a character
 _HEADINGS = ("joint", "parameter", "unit", "baseline", "last", "change", "at", "significance",
              "verdict")  # fmt: skip
 _NUMBERS = ("baseline", "last", "change", "significance")
@@ -31,9 +31,8 @@ const sign=head.ariaSort==="descending"?1:-1;
 for(const each of head.parentElement.cells)each.ariaSort=null;
 head.ariaSort=sign<0?"descending":"ascending";
 const key=row=>row.cells[k].dataset.value??row.cells[k].textContent;
-body.append(...[...body.rows].sort((a,b)=>
-sign*key(a).localeCompare(key(b),"en",{numeric:true})||0));
-if(head.dataset.kind==="number")body.append(...[...body.rows].sort((a,b)=>sign*(key(a)-key(b))));
+const compare=head.dataset.kind==="number"?(a,b)=>a-b:(a,b)=>a.localeCompare(b);
+body.append(...[...body.rows].sort((a,b)=>sign*compare(key(a),key(b))));
 };"""
 
 
@@ -54,8 +53,8 @@ def write_trend_page(
         notes: further sentences.
     """
     parameters = list(dict.fromkeys(each.parameter.name for each in trends))
-    changed = [each for each in trends if each.is_changed]
-    texts = [text for each in trends for text in (each.date_texts[0], each.date_texts[-1])]
+    changed = sum(each.is_changed for each in trends)
+    dates = [date for each in trends for date in each.dates]
     ranked = sorted(trends, key=lambda each: each.significance, reverse=True)
     template = (files(__package__) / "trend_page.html").read_text(encoding="utf-8")
     page = fill_template(template, {
@@ -63,8 +62,8 @@ def write_trend_page(
                   f"script-src {hash_of(_SCRIPT)}; base-uri 'none'; form-action 'none'",
         "TITLE": escape(title),
         "COLUMNS": str(len([name for name in parameters if name != "mass"]) or 1),
-        "SUMMARY": f"{min(texts)} to {max(texts)}: {len(changed)} of {len(trends)} parameters "
-                   "changed",
+        "SUMMARY": f"{min(dates):%Y-%m-%d %H:%M} to {max(dates):%Y-%m-%d %H:%M}: {changed} of "
+                   f"{len(trends)} parameters changed",
         "EVENTS": _list(
             "Change points and drifts",
             [f'<a href="#{_id(each)}">{escape(text)}</a>' for each in trends

@@ -32,7 +32,7 @@ import numpy as np
 
 from ...base.errors import Problem, UsageError
 from ...base.frames import Array
-from ...base.reduction import rms
+from ...base.reduction import rms, rms_with_error
 from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog
 from ...study.compare import one_unit, unit_of
@@ -280,9 +280,13 @@ def parameters(found: Identified) -> list[Parameter]:
     for k, (joint, left) in enumerate(
         zip(found.robot.names, (found.link - found.link_fit).T, strict=True)
     ):
-        known = left[np.isfinite(left)]
-        error = Estimate(rms(known) if len(known) else None, None, unknown)
-        estimates[f"{joint}.gravity_error"] = error, _UNITS[found.robot.types[k] == "revolute"][0]
+        value, error = rms_with_error(left)
+        known = np.isfinite(value)
+        found_error = Estimate(value if known else None, error if known else None, unknown)
+        estimates[f"{joint}.gravity_error"] = (
+            found_error,
+            _UNITS[found.robot.types[k] == "revolute"][0],
+        )
     listed = []
     for key, (each, unit) in estimates.items():
         joint, _, name = key.rpartition(".")
