@@ -39,8 +39,7 @@ SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
 # look almost the same in any light.
 _DARK = 1 / 256
 _REFLECTANCE = 0.08  # reflectance per specular: the default specular of 0.5 gives 0.04 (plastic)
-# Fraction of the color of doubles, and of arrows and axes, that depends on light; the rest is
-# emitted.
+# Fraction of the color of doubles, and of arrows and axes, that depends on light
 _LIT, _SHAPE_LIT = 0.7, 0.5
 # Filament compresses colors near white. Rows: displayed linear color, and the light it requires.
 # Source: grays and colors rendered by MuJoCo 4.0.0, with an accuracy of 2 of 255.
