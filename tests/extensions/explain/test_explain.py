@@ -236,7 +236,8 @@ def test_runs_are_distinguished_by_faults_in_only_one_of_them() -> None:
     (mine,) = explain_runs(a, b, both)
     assert (mine.joint, mine.kind, mine.size) == ("A2", "bias", pytest.approx(-4.0, abs=0.1))
     (theirs,) = explain_runs(b, a, both)
-    assert theirs.size == pytest.approx(4.0, abs=0.1)
+    assert theirs.size == pytest.approx(-4.0, abs=0.1) and theirs.is_second
+    assert theirs.confidence > 0.9
     # Started later by another clock.
     later = RunLog(b.robots, b.signals, b.times + 0.7, "later")
     (moved,) = explain_runs(a, later, both, offset=-0.7)
