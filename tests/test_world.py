@@ -389,6 +389,18 @@ def test_nan_counts_as_no_data_and_moves_nothing():
     assert not data.qpos.any()
 
 
+def test_reset_accepts_data_of_the_model_without_visual_geometry():
+    world = World(Scene(robots=[SerialRobot.from_model("lwr")]), dynamic=True)
+    model = world.physics_model()
+    assert 0 < model.ngeom < world.model.ngeom
+    data, expected = mujoco.MjData(model), mujoco.MjData(model)
+    world.reset(data)
+    expected.qpos[:] = data.qpos
+    expected.mocap_pos[:], expected.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    mujoco.mj_forward(model, expected)
+    np.testing.assert_array_equal(data.geom_xpos, expected.geom_xpos)
+
+
 def test_unknown_inputs_and_robots_are_rejected_with_the_nearest_name():
     world, _, data = compiled(arm())
     for target, text in [

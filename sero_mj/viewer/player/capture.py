@@ -45,6 +45,35 @@ _SIZE = (1280, 800)  # assumed size of the image in pixels, on which some featur
 
 
 @dataclass(frozen=True)
+class MarkPlot:
+    """Residuals of a joint over time, and over the quantity that explains them; None if unknown.
+
+    Attributes:
+        joint: name of the joint, such as `lwr/A4`.
+        notes: lines below the plots.
+        label: name and unit of the residuals.
+        times: times in seconds since the start of the page, length K.
+        before: residuals without the explanation, length K.
+        after: residuals with the explanation, length K.
+        quantity: name and unit of the quantity.
+        unit: unit of the quantity.
+        values: values of the quantity, length K.
+        fit: values of the quantity and explained torques, as pairs in ascending order.
+    """
+
+    joint: str
+    notes: Sequence[str]
+    label: str
+    times: Sequence[float]
+    before: Sequence[float | None]
+    after: Sequence[float | None]
+    quantity: str
+    unit: str
+    values: Sequence[float | None]
+    fit: Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True)
 class Mark:
     """An event on the timeline of an exported page.
 
@@ -54,12 +83,14 @@ class Mark:
         text: description of the event.
         kind: origin of the event: `push` or `fault` of a scenario, `finding` of a monitor,
             `bookmark` of the user, or `held` or `failed` for an expectation.
+        plot: plots that the page shows for the mark; None for none.
     """
 
     begin: float
     end: float
     text: str
     kind: Literal["push", "fault", "finding", "bookmark", "held", "failed"]
+    plot: MarkPlot | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ from ..decor.geom_buffer import GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
 from ..decor.ribbons import ribbon_shape
-from .capture import CapturedRun, eye
+from .capture import CapturedRun, Mark, eye
 from .frame import Labels
 from .model import Look
 from .packing import PackedArrays, poses, rounded
@@ -69,7 +69,7 @@ def encode(capture: CapturedRun, title: str) -> bytes:
             for item, texts in capture.arrow_texts.items()
         ],
         "vectors": capture.world.arrows.names,
-        "marks": [vars(mark) for mark in capture.marks],
+        "marks": [_mark(mark) for mark in capture.marks],
         "meanings": dict(capture.meanings),
         "switches": _switches(capture),
         "silent": capture.silent,
@@ -77,6 +77,10 @@ def encode(capture: CapturedRun, title: str) -> bytes:
     head["lengths"] = [len(each) for each in parts.arrays]
     text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
     return b"".join([len(text).to_bytes(4, "little"), text, *parts.arrays])
+
+
+def _mark(mark: Mark) -> dict[str, Any]:
+    return vars(mark) | {"plot": None if mark.plot is None else vars(mark.plot)}
 
 
 def _look(capture: CapturedRun, look: Look) -> dict[str, Any]:

@@ -273,8 +273,8 @@ def test_difference_of_two_gains_is_reported() -> None:
         (found,) = explain_runs(a, b, ("lwr", "lwr"))
         assert (found.joint, found.kind, found.part) == ("A2", "gain", "torque sensor")
         assert found.size == pytest.approx(size, abs=0.01)
-        assert re.fullmatch(rf"gain: \{size:+.1f}.* of the torque sensor, A less B", found.text)
-    assert "A less B" not in explain_run(runs[0], "lwr")[0].text
+        assert re.fullmatch(rf"gain: \{size:+.1f}.* of the torque sensor, A minus B", found.text)
+    assert "A minus B" not in explain_run(runs[0], "lwr")[0].text
 
 
 def test_commands_alone_suffice_without_link_masses() -> None:

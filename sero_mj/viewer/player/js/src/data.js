@@ -30,7 +30,10 @@
  *   fill: number[], reflections: number[][]}} Palette displayed colors, and light relative to white */
 /** @typedef {{looks: {light: Palette, dark: Palette}, towards: number[], floor: {height: number,
  *   tile: number, far: number, haze: number} | null}} Surroundings */
-/** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
+/** @typedef {{joint: string, notes: string[], label: string, times: number[], before: (number | null)[],
+ *   after: (number | null)[], quantity: string, unit: string, values: (number | null)[], fit: [number, number][]}} MarkPlot
+ *   as in `MarkPlot` of `capture.py` */
+/** @typedef {{begin: number, end: number, text: string, kind: string, plot?: MarkPlot | null}} Mark */
 /** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array,
  *   uv?: Float32Array}} MeshData */
 /** @typedef {{texts: string[], at: Float32Array}} Texts */

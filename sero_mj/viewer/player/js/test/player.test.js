@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { widthOf } from "../src/arrows.js";
 import { Clock } from "../src/clock.js";
+import { evidencePlots } from "../src/evidence_plot.js";
 import { digitsOf } from "../src/graph.js";
 import { decode, fixed, normalOf, textOf, unfold, valueOf } from "../src/data.js";
 import { stacked } from "../src/layout.js";
@@ -17,6 +18,17 @@ test("signs in the lowest bit are decoded", () => {
 
 test("numbers of an axis have as many digits as its steps", () => {
   assert.deepEqual([1e-7, 1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [7, 4, 2, 1, 0, 0, 1]);
+});
+
+test("evidence is plotted over time, and over its quantity in ascending order", () => {
+  const plot = { joint: "a/A1", notes: [], label: "A1 [Nm]", times: [0, 1, 2], before: [3, null, 1], after: [0, null, 0.5],
+    quantity: "over angle [deg]", unit: "deg", values: [5, 4, -5], fit: /** @type {[number, number][]} */ ([[-5, 1], [5, 3]]) };
+  const [overTime, overQuantity] = evidencePlots(/** @type {any} */ ({ begin: 10 }), plot);
+  assert.deepEqual(overTime.xRange, [10, 12]);
+  assert.deepEqual(overTime.lines.map(({ x, y }) => [x, y]), [[[10, 11, 12], [3, null, 1]], [[10, 11, 12], [0, null, 0.5]]]);
+  assert.deepEqual(overQuantity.lines.map(({ x, y }) => [x, y]), [[[-5, 5], [1, 3]], [[-5, 5], [0.5, 0]], [[-5, 5], [1, 3]]]);
+  assert.ok(overQuantity.xRange[0] < -5 && overQuantity.xRange[1] > 5);
+  assert.deepEqual(overTime.yRange, overQuantity.yRange);
 });
 
 test("normals of all octants have unit length", () => {
