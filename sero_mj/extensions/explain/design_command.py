@@ -16,7 +16,6 @@ from ...data.record.csv_files import TIME, column_names, csv_table
 
 if TYPE_CHECKING:
     from .excitation import Excitation
-    from .identify_command import IdentifyOptions
 
 MAX_RATE = 1e4  # rows/s
 _DIGITS = 9  # decimal places in tables, so that differences of angles give smooth velocities
@@ -60,39 +59,49 @@ class DesignOptions(Options):
     seed: Seed = 0
 
 
-def design(options: IdentifyOptions) -> int:
-    """Designs a motion, and returns the exit status."""
+def design(
+    options: DesignOptions,
+    scene_name: str | None,
+    robot: str | None,
+    *,
+    output: Path | None,
+    plot: Path | None,
+    as_json: bool,
+    quiet: bool,
+) -> int:
+    """Designs a motion, and returns the exit status.
+
+    Without `scene_name`, `robot` is the name or file of a robot instead of the name in the scene.
+    """
     from .excitation import design_excitation
 
-    scene_name = options.scene or options.robot
+    if scene_name is None:
+        scene_name, robot = robot, None
     if scene_name is None:
         raise UsageError("--design: expected --robot or --scene with a robot, scene or file")
     scene = read_scene(scene_name)
-    robots = list(scene.robots)
-    name = options.robot if options.scene else None
-    if name is None and len(robots) == 1:
-        name = robots[0]
-    if name not in robots:
+    name = robot or (next(iter(scene.robots)) if len(scene.robots) == 1 else None)
+    if name not in scene.robots:
         found = f"found '{name}'" if name else f"scene {scene_name} has several robots"
-        raise UsageError(f"--robot: {found}; expected one of {', '.join(robots)}, with --scene")
-    with progress_bar("designing", quiet=options.quiet) as update:
-        found_motion = design_excitation(
+        expected = f"expected one of {', '.join(scene.robots)}, with --scene"
+        raise UsageError(f"--robot: {found}; {expected}")
+    with progress_bar("designing", quiet=quiet) as update:
+        motion = design_excitation(
             scene, name, period=options.period, harmonics=options.harmonics, share=options.share,
             clearance=options.clearance, seed=options.seed, progress=update,
             start=None if options.at is None else np.array(options.at),
         )  # fmt: skip
-    summary = summarize(found_motion, options.periods)
-    if options.output is not None:
-        write_motion(found_motion, options.output, options.rate, options.periods)
-    if options.plot is not None:
+    if output is not None:
+        write_motion(motion, output, options.rate, options.periods)
+    if plot is not None:
         from .design_figure import plot_excitation
 
-        plot_excitation(found_motion, options.plot)
-    if options.as_json:
+        plot_excitation(motion, plot)
+    summary = summarize(motion, options.periods)
+    if as_json:
         print_json(summary)
-    elif not options.quiet:
-        for line in as_lines(summary):
-            print(line)
+    elif not quiet:
+        print("\n".join(as_lines(summary)))
     return 0
 
 

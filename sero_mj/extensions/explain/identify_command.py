@@ -96,7 +96,10 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions, DesignOptions):
 def run(options: IdentifyOptions) -> int:
     """Identifies a robot and returns the exit status."""
     if options.design:
-        return design(options)
+        return design(
+            options, options.scene, options.robot, output=options.output, plot=options.plot,
+            as_json=options.as_json, quiet=options.quiet,
+        )  # fmt: skip
     if options.is_batch:
         return _identify_many(options)
     from ...study.align import choose_robot
