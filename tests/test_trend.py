@@ -18,10 +18,11 @@ from runs import record_packets
 from sero_mj.base.reduction import rms_with_error
 from sero_mj.cli import main
 from sero_mj.data.record.recording_format import RecordingClock
-from sero_mj.study import trend
+from sero_mj.study import measured as measured_file
 from sero_mj.study.change_points import fit_segments
 from sero_mj.study.explanation import Parameter
-from sero_mj.study.trend import Measured, Trend, date_of, date_texts, find_trends
+from sero_mj.study.measured import Measured, date_of
+from sero_mj.study.trend import Trend, date_texts, find_trends
 
 FIRST = datetime(2026, 10, 30, 3, 15).astimezone()
 NIGHTS = 12
@@ -70,7 +71,7 @@ def record(
 
 @pytest.fixture
 def nights(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(trend, "find_explainer", lambda: None)
+    monkeypatch.setattr(measured_file, "find_explainer", lambda: None)
     rng = np.random.default_rng(3)
     record(tmp_path / "good.mcap", FIRST - timedelta(days=40))
     for k in range(NIGHTS):
@@ -222,7 +223,8 @@ def test_incompatible_options_of_trends_are_rejected(
 
 def measured(value: float | None, day: float, **fields: float) -> Measured:
     parameter = Parameter("A4", "coulomb_friction", "Nm", value, error=0.01, **fields)
-    return Measured(f"{day}.mcap", FIRST + timedelta(days=day), False, [parameter])
+    date, motion = FIRST + timedelta(days=day), np.zeros((2, 1))
+    return Measured(f"{day}.mcap", date, False, "lwr", ["A4"], [parameter], motion)
 
 
 def trend_of(values: list[float], tolerance: float = 0.1, **fields: float) -> Trend:

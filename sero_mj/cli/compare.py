@@ -296,7 +296,10 @@ def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
     pair = pair_with_commands(run, name)
     if explainer is None:
         return pair, None, []
-    found, about = explainer.of_one(run, name)
+    try:
+        found, about = explainer.of_one(run, name)
+    except UsageError as error:
+        return pair, None, [f"no explanation: {error}"]
     return pair, differing(pair, found), about
 
 

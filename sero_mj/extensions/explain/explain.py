@@ -63,6 +63,7 @@ from .identify import identify, parameters
 from .log_faults import log_faults
 from .next_motion import with_next
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
+from .usable_rows import usable
 
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
 _APPROXIMATE = ("gain", "bias", "friction", "unexplained")
@@ -79,9 +80,11 @@ _MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
     """Diagnoses a robot in a run, see `explain`; raises UsageError for too little data.
 
-    `found` contains the residuals of the robot if they are already known.
+    `found` contains the residuals of the robot if they are already known; `log` is `usable` then.
     """
-    found = found or torque_residuals(log, robot)
+    if found is None:
+        log, _ = usable(log, robot)
+        found = torque_residuals(log, robot)
     faults, log = log_faults(log, robot, found)
     if faults:
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
@@ -198,6 +201,7 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
+    (a, _), (b, _) = usable(a, robots[0]), usable(b, robots[1])
     faults, first, second = _both(a, b, robots, offset)
     return with_next([*faults, *explain_pair(first, second)], first)
 
@@ -205,7 +209,7 @@ def explain_runs(
 def _both(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
 ) -> tuple[list[Explanation], TorqueResiduals, TorqueResiduals]:
-    # Faults of both logs, and the residuals of the corrected logs at the same times.
+    # Faults of both usable logs, and the residuals of the corrected logs at the same times.
     first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
     faults, a = log_faults(a, robots[0], first)
     faults_of_b, b = log_faults(b, robots[1], second)
@@ -310,19 +314,24 @@ class TorqueExplainer(Explainer):
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> tuple[list[Explanation], list[str]]:
+        (a, notes), (b, more) = usable(a, robots[0]), usable(b, robots[1])
         faults, first, second = _both(a, b, robots, offset)
         found = with_next([*faults, *explain_pair(first, second)], first)
-        return found, [rows_line(_difference(first, second))]
+        notes = [*(f"{a.name}: {note}" for note in notes), *(f"{b.name}: {note}" for note in more)]
+        return found, [*notes, rows_line(_difference(first, second))]
 
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
+        run, notes = usable(run, robot)
         found = torque_residuals(run, robot)
-        return explain_run(run, robot, found), _about_model(found)
+        return explain_run(run, robot, found), [*notes, *_about_model(found)]
 
     def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
+        run, notes = usable(run, robot)
         found = torque_residuals(run, robot)
         explanations = explain_run(run, robot, replace(found, no_model=""))
         pair = pair_with_model(run, found)
-        return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
+        first = _first_difference(pair, found, explanations)
+        return pair, explanations, [first, *notes, *_about_model(found)]
 
     def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
         return parameters(identify(run, robot))
@@ -345,7 +354,11 @@ def _about_model(found: TorqueResiduals) -> list[str]:
     return lines
 
 
-def _first_difference(pair: Pair, explanations: Sequence[Explanation]) -> str:
+def _first_difference(
+    pair: Pair, found: TorqueResiduals, explanations: Sequence[Explanation]
+) -> str:
+    if not (np.isfinite(found.link).any() or np.isfinite(found.motor).any()):
+        return f"{pair.robot.name} cannot be compared with its model"
     if not explanations:
         return f"{pair.robot.name} agrees with its model"
     first = min(explanations, key=lambda each: (not each.from_start, each.begin))

@@ -110,7 +110,9 @@ class Search:
             sides = slice(None) if each.part == "torque sensor" else 1
             residuals[sides, rows, joint] = np.nan
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
-        moving = np.hypot(_FLOOR_SHARE * found.torques.model, _FLOOR_TIME * found.torques.rates)
+        torques = found.torques
+        exerted = np.where(np.isfinite(torques.model), torques.model, torques.measured)
+        moving = np.hypot(_FLOOR_SHARE * exerted, _FLOOR_TIME * torques.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
         for each in noisy:  # noise is not evidence for other faults
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
