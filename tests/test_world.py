@@ -459,6 +459,19 @@ def test_declared_lights_are_used_or_one_default_light():
     assert compiled()[1].nlight == 1
 
 
+def test_default_light_points_at_the_middle_of_the_robots():
+    robots = [
+        SerialRobot.from_model("lwr", name=name, base_frame={"xyz": [x, 2.0, 0.0]})
+        for name, x in (("left", -1.0), ("right", 3.0))
+    ]
+    model = World(Scene(robots=robots)).model
+    light = model.light("key")
+    middle = np.array([1.0, 2.0, light.pos[2] - 4.0])
+    between = middle - light.pos
+    assert np.linalg.norm(np.cross(between, light.dir)) < 1e-6
+    assert 0.5 < middle[2] < 0.8  # half of the height of an upright LWR
+
+
 def test_floor_is_at_height_zero_unless_omitted():
     _, model, data = compiled(floor=True)
     assert model.geom("floor").type[0] == mujoco.mjtGeom.mjGEOM_PLANE

@@ -15,8 +15,7 @@ from .each_recording import Rows, examine_each, write_rows
 from .shared_options import EngineOptions, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
-    from ..study.explanation import Parameter
-    from ..study.trend import Measured
+    from ..study.measured import Measured
 
 
 class TrendOptions(RunOptions, JsonOptions, EngineOptions):
@@ -48,31 +47,17 @@ class TrendOptions(RunOptions, JsonOptions, EngineOptions):
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
-    """Measures one recording of a batch; returns a mapping from column names to results.
-
-    The columns are the `date`, whether it is the date of the file, the `robot`, its `joints`, and
-    for each parameter the value, the standard error (`.error`) and the unit (`.unit`).
-    """
+    """Measures one recording of a batch; returns it as `run`, see `EachRecording`."""
     own = {key: shared[key] for key in ("robot", *RunOptions.model_fields) if key in shared}
-    run, robot, joints = _measured(TrendOptions(**own), file)
-    row = {"date": run.date.isoformat(timespec="seconds"), "date_of_file": run.is_date_of_file,
-           "robot": robot, "joints": ", ".join(joints), "motion": run.motion}  # fmt: skip
-    for each in run.parameters:
-        row |= {each.key: each.value, f"{each.key}.error": each.error,
-                f"{each.key}.unit": each.unit, f"{each.key}.reason": each.reason}  # fmt: skip
-    return row
+    return {"run": _measured(TrendOptions(**own), file)}
 
 
-def _measured(options: TrendOptions, file: Path) -> tuple[Measured, str, list[str]]:
+def _measured(options: TrendOptions, file: Path) -> Measured:
     from ..study.align import choose_robot
-    from ..study.trend import Measured, date_of, measure, motion_of
+    from ..study.measured import measure
 
     log = options.read(file, options.source)
-    robot = choose_robot(log, options.robot)
-    date, is_of_file = date_of(file)
-    motion = motion_of(log, robot)
-    run = Measured(str(file), date, is_of_file, measure(log, robot), motion)
-    return run, robot, list(log.robots[robot].names)
+    return measure(file, log, choose_robot(log, options.robot))
 
 
 def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> int:
@@ -83,47 +68,34 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
     Raises:
         SeroError: the baseline cannot be used.
     """
-    from ..study.trend import (
-        as_json,
-        as_table,
-        find_trends,
-        is_other_motion,
-        missing_parameters,
-        test_cases,
-    )
+    from ..study.measured import notes_of
+    from ..study.trend import as_json, as_table, find_trends, test_cases
 
-    begin, quiet = time.perf_counter(), options.quiet
-    good, robot, joints = _measured(options, baseline)
-    options = options.model_copy(update={"robot": robot})
+    begin, good = time.perf_counter(), _measured(options, baseline)
+    options = options.model_copy(update={"robot": good.robot})
     same = baseline.resolve()
     others = [path for path in dict.fromkeys(recordings) if path.resolve() != same]
-    needed = options.files()
-    rows = examine_each(options, f"{__name__}:outcomes", others, needed, quiet=quiet)
+    rows = examine_each(
+        options, f"{__name__}:outcomes", others, options.files(), quiet=options.quiet
+    )
     if options.table is not None:
-        write_rows([(path, _without_reasons(row)) for path, row in rows], options.table)
-    used, skipped = _sorted_out(rows, good, robot, joints)
+        write_rows([(path, _columns(row)) for path, row in rows], options.table)
+    used, skipped = _sorted_out(rows, good)
     for path, why in skipped:
         print(f"sero-mj: skipped {path}: {why}", file=sys.stderr)
     if not used:
         raise UsageError(f"none of {len(rows)} recordings can be compared with {baseline}")
-    notes = [f"{run.path}: {why}" for run in used for why in missing_parameters(run, good)]
-    if of_files := [run for run in (good, *used) if run.is_date_of_file]:
-        notes.append(f"no start time in {_named(of_files)}: the date is that of the file")
-    if moved := [run for run in used if is_other_motion(run.motion, good.motion)]:
-        notes.append(f"another motion than in the baseline in {_named(moved)}: parameters may "
-                     "differ because of the motion")  # fmt: skip
-    tolerance, limit = 0.01 * options.tolerance_change, 0.01 * options.limit
-    trends = find_trends(good, used, tolerance, limit)
-    changed = [each for each in trends if each.is_changed]
+    trends = find_trends(good, used, 0.01 * options.tolerance_change, 0.01 * options.limit)
     count = f"{len(used)} recordings" if len(used) > 1 else "1 recording"
-    title = f"{robot}: {count} and the baseline {baseline.name}"
+    title = f"{good.robot}: {count} and the baseline {baseline.name}"
+    notes = notes_of(good, used)
     if options.as_json:
         print_json({
-            "baseline": str(baseline), "robot": robot, "trends": [as_json(each) for each in trends],
+            "baseline": str(baseline), "robot": good.robot, "notes": notes,
             "skipped": [{"recording": path, "reason": why} for path, why in skipped],
-            "notes": notes,
+            "trends": [as_json(each) for each in trends],
         })  # fmt: skip
-    elif not quiet:
+    elif not options.quiet:
         print_table(as_table(trends, title))
         print_wrapped([*(event for each in trends for event in each.events), *notes])
     with writing():
@@ -136,56 +108,40 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
 
             seconds = time.perf_counter() - begin
             write_junit(options.junit, "trend", test_cases(trends, skipped), seconds=seconds)
+    changed = ", ".join(each.name for each in trends if each.is_changed)
     if changed:
-        print(f"sero-mj: changed: {', '.join(each.name for each in changed)}", file=sys.stderr)
+        print(f"sero-mj: changed: {changed}", file=sys.stderr)
     if len(rows) < len(others):
         return 130
     return 1 if changed else 0
 
 
-def _named(runs: list[Measured]) -> str:
-    more = f" and {len(runs) - 1} more" if len(runs) > 1 else ""
-    return f"{Path(runs[0].path).name}{more}"
-
-
-def _sorted_out(
-    rows: Rows, good: Measured, robot: str, joints: list[str]
-) -> tuple[list[Measured], list[tuple[str, str]]]:
+def _sorted_out(rows: Rows, good: Measured) -> tuple[list[Measured], list[tuple[str, str]]]:
     # Recordings that can be compared with the baseline, and others with the reasons.
-    from datetime import datetime
+    from dataclasses import replace
 
-    from ..study.trend import Measured
+    from ..study.measured import date_of, why_not
 
     used, skipped = [], []
     for path, row in rows:
-        if row["error"]:
-            skipped.append((str(path), row["error"].removeprefix(f"{path}: ").removeprefix(
-                f"{path} ")))  # fmt: skip
-            continue
-        if row["joints"] != ", ".join(joints):
-            expected = f"the baseline has {', '.join(joints)}"
-            skipped.append((str(path), f"{robot} has the joints {row['joints']}; {expected}"))
-            continue
-        parameters = [_parameter(row, each) for each in good.parameters]
-        if not any(a.value is not None and b.value is not None
-                   for a, b in zip(parameters, good.parameters, strict=True)):  # fmt: skip
-            reasons = dict.fromkeys(each.reason for each in parameters if each.reason)
-            why = "; ".join(reasons) or "no data"
-            skipped.append((str(path), f"no parameter in common with the baseline: {why}"))
-            continue
-        date = datetime.fromisoformat(row["date"])
-        used.append(Measured(str(path), date, row["date_of_file"], parameters, row["motion"]))
+        why = row["error"].removeprefix(f"{path}: ").removeprefix(f"{path} ")
+        if why := why or why_not(row["run"], good):
+            skipped.append((str(path), why))
+        else:
+            run = replace(row["run"], path=str(path))
+            # A worker on another machine has a copy of the file.
+            used.append(replace(run, date=date_of(path)[0]) if run.is_date_of_file else run)
     return used, skipped
 
 
-def _parameter(row: Mapping[str, Any], wanted: Parameter) -> Parameter:
-    from dataclasses import replace
-
-    value, error = row.get(wanted.key), row.get(f"{wanted.key}.error")
-    return replace(wanted, value=value, error=error, reason=row.get(f"{wanted.key}.reason"))
-
-
-def _without_reasons(row: Mapping[str, Any]) -> dict[str, Any]:
-    return {
-        key: value for key, value in row.items() if key != "motion" and not key.endswith(".reason")
-    }
+def _columns(row: Mapping[str, Any]) -> dict[str, Any]:
+    # For each parameter the value, the standard error and the unit, or the reason of no value.
+    if row["error"]:
+        return {"error": row["error"]}
+    run: Measured = row["run"]
+    columns = {"error": "", "date": run.date.isoformat(timespec="seconds"),
+               "date_of_file": run.is_date_of_file, "robot": run.robot}  # fmt: skip
+    for each in run.parameters:
+        columns |= {each.key: each.value, f"{each.key}.error": each.error,
+                    f"{each.key}.unit": each.unit}  # fmt: skip
+    return columns

@@ -6,102 +6,25 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..base.errors import UsageError
 from ..base.frames import Array
-from ..base.reduction import rms
-from ..data.record.csv_files import is_table
-from ..data.record.formats import look_into
-from ..simulate.runs.run_log import RunLog, event_of, torque_error
 from .change_points import Segment, fit_segments, scatter
-from .compare import unit_of
-from .explanation import Parameter, find_explainer
+from .explanation import Parameter
 from .junit import TestCase
+from .measured import DEGREES, Measured
 
 if TYPE_CHECKING:
     from rich.table import Table
 
 _CHANCE = 0.05  # probability of a change point in a report of a robot that does not change
-_MIN_CHANGE = 1e-3  # share of the torque limit, smallest change of a torque error that matters
-_MIN_HEATING = 5.0  # smallest change of a temperature that matters, K
-_DEGREES = "°C"
-# Motions differ if a mean angle (rad or m) or the rms velocity, as a share of that of the fastest
-# joint, differs by more.
-_OTHER_ANGLE, _OTHER_SPEED = 0.1, 0.2
-_FIRST_YEAR = 2000  # of a clock that was set
 _HORIZON = 3650.0  # days; later dates are not predicted
 _MAX_ROWS = 60  # maximum number of rows of a table in the terminal
 _DATES = ("%Y-%m-%d", "%Y-%m-%d %H:%M", "%Y-%m-%d %H:%M:%S")
 _TIMES = ("%H:%M", "%H:%M:%S")  # if all dates are of the same day
-
-
-def date_of(path: Path) -> tuple[datetime, bool]:
-    """Returns the local start time of a recording, and whether it is the date of the file.
-
-    Tables contain no date, and some robots have no clock. In these cases, the time of the last
-    modification of the file is used.
-    """
-    start = None if is_table(path) else look_into(path).start
-    if start is not None and start.year >= _FIRST_YEAR:
-        return start.astimezone(), False
-    return datetime.fromtimestamp(path.stat().st_mtime).astimezone(), True
-
-
-def measure(log: RunLog, robot: str) -> list[Parameter]:
-    """Returns the parameters of a robot in a run, always in the same order.
-
-    These are the parameters of the installed explainer, the root mean square of commanded minus
-    measured torques, and the mean of each input whose name contains `temperature`.
-
-    Raises:
-        UsageError: the explainer rejects the run, for example because it is too short.
-    """
-    explainer = find_explainer()
-    found = [] if explainer is None else explainer.parameters(log, robot)
-    declared = log.robots[robot]
-    has = log.has(robot, "torques") and log.has(robot, "commanded_torques")
-    errors = torque_error(log, robot) if has else None
-    for k, joint in enumerate(declared.names):
-        value = np.nan if errors is None else rms(errors[:, k])
-        reason = None if has else "the run has no measured or no commanded torques"
-        limit = float(log.torque_limits(robot)[k])
-        least = _MIN_CHANGE * limit if np.isfinite(limit) else 0.0
-        unit = unit_of("torques", declared.types[k])
-        found.append(
-            Parameter(joint, "rms_torque_error", unit, _number(value), None, reason, least)
-        )
-    for name in declared.inputs:
-        if "temperature" in name and event_of(robot, name) in log.signals:
-            values = np.ma.masked_invalid(log.of(robot, name)).mean(axis=0).filled(np.nan)
-            found += [
-                Parameter(joint, name, _DEGREES, _number(value), min_change=_MIN_HEATING)
-                for joint, value in zip(declared.names, values, strict=True)
-            ]
-    order = {joint: k for k, joint in enumerate(declared.names)}
-    return sorted(found, key=lambda each: order.get(each.joint, declared.n))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
-def motion_of(log: RunLog, robot: str) -> list[float]:
-    """Returns the mean angle (rad or m) and the rms velocity of each joint, as 2 n numbers."""
-    angles, velocities = log.of(robot, "joint_angles"), log.of(robot, "joint_velocities")
-    return [*map(float, np.nanmean(angles, axis=0)), *(rms(each) for each in velocities.T)]
-
-
-def is_other_motion(motion: Sequence[float], reference: Sequence[float]) -> bool:
-    """Returns whether two motions by `motion_of` differ so much that parameters may differ."""
-    (angles, speeds), (angles0, speeds0) = (
-        np.reshape(each, (2, -1)) for each in (motion, reference)
-    )
-    is_elsewhere = bool((np.abs(angles - angles0) > _OTHER_ANGLE).any())
-    return is_elsewhere or bool((np.abs(speeds - speeds0) > _OTHER_SPEED * speeds0.max()).any())
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +142,7 @@ class Trend:
             return None
         target = base + self.limit * abs(base) * float(np.sign(segment.slope))
         days = (target - self.last) / segment.slope / 86400.0
-        return self.dates[-1] + timedelta(days=days) if 0.0 < days < _HORIZON else None
+        return self.dates[self.latest] + timedelta(days=days) if 0.0 < days < _HORIZON else None
 
     @property
     def change(self) -> float:
@@ -267,7 +190,7 @@ class Trend:
     def _has_percent(self, base: float) -> bool:
         # An offset of zero or a temperature in degrees has no meaningful relative change.
         error = float(np.nan_to_num(self.errors[self.baseline]))
-        return self.parameter.unit != _DEGREES and abs(base) > max(
+        return self.parameter.unit != DEGREES and abs(base) > max(
             3.0 * error, self.parameter.min_change
         )
 
@@ -285,17 +208,6 @@ def _shown(value: float, precision: float) -> str:
     # With two digits of the precision.
     size = abs(precision) if precision else 1.0
     return f"{value + 0.0:.{int(np.clip(1 - np.floor(np.log10(size)), 0, 6))}f}"
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A recording, its local start time (see `date_of`), parameters and motion."""
-
-    path: str
-    date: datetime
-    is_date_of_file: bool
-    parameters: Sequence[Parameter]
-    motion: Sequence[float] = ()
 
 
 def find_trends(
@@ -346,17 +258,6 @@ def date_texts(dates: Sequence[datetime]) -> list[str]:
         if len(set(found)) == len(found):
             break
     return found
-
-
-def missing_parameters(run: Measured, baseline: Measured) -> list[str]:
-    """Returns the parameters that only the baseline has, grouped by the reason."""
-    expected = {each.key for each in baseline.parameters if each.value is not None}
-    names: dict[str, dict[str, None]] = {}
-    for each in run.parameters:
-        if each.key in expected and each.value is None:
-            named = names.setdefault(each.reason or "no data", {})
-            named[each.label] = None
-    return [f"no {', '.join(named)}: {reason}" for reason, named in names.items()]
 
 
 def as_table(trends: Sequence[Trend], title: str) -> Table:

@@ -13,6 +13,7 @@ from pydantic import model_validator
 from ...base.options import Option, ending, positional
 from ...cli.arguments import command, print_json, print_table, writing
 from ...cli.shared_options import EngineOptions, Figure, Flag, JsonOptions, PartOptions
+from .design_command import DESIGN, DesignOptions, design
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -21,9 +22,9 @@ if TYPE_CHECKING:
 
 _HELP = """\
 examples:
-  sero-mj identify run.mcap --robot lwr
   sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines for a robot file
   sero-mj identify runs/*.mcap --table found.csv           agreement of several recordings
+  sero-mj identify --design --robot lwr -o excite.csv      a motion that excites all parameters
 
 The command estimates friction and motor inertia from commanded minus measured torque, and payload
 and sensor offsets from measured minus model torque, by linear regression with standard errors.
@@ -31,30 +32,54 @@ Parameters that the motion does not excite are reported as not identifiable. All
 back and forth, at low and high speed, and the wrist far enough to change the direction of gravity.
 Several recordings are summarized by median, extremes and the median of the standard errors. They
 are analyzed in parallel by local processes or by the workers of a Dask cluster.
+
+With --design, the command writes a motion that excites all parameters, within the limits of the
+robot and without collisions, as a table for `sero-mj send --play` and for targets of scenarios.
 """
 GROUP, ORDER = "analyze", 44
+_OF_RECORDINGS = (
+    "recordings", "source", "columns", "begin", "end", "table", "jobs", "engine", "scheduler",
+    "ship",
+)  # fmt: skip
 _BATCH_OPTIONS = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
-class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
+class IdentifyOptions(PartOptions, JsonOptions, EngineOptions, DesignOptions):
     """Estimate friction, payload and torque offsets of a robot.
 
     Attributes:
         recordings: recordings or tables (.csv).
         robot: robot to identify (default: the only robot).
-        output: file for the estimates as lines of a robot file.
-        plot: file for a figure of the fit: .png, .pdf or .svg.
+        output: file for the estimates as lines of a robot file (.toml), or for a designed motion
+            (.csv).
+        plot: file for a figure of the fit or of the designed motion: .png, .pdf or .svg.
         table: write one row per recording to a table.
         as_json: print the estimates as JSON.
         quiet: print no table.
     """
 
-    recordings: Annotated[list[Path], positional("RUN.mcap")]
+    recordings: Annotated[list[Path], positional("RUN.mcap")] = []
     robot: Flag = None
-    output: Annotated[Path | None, ending(".toml"), Option("OUT.toml", ("-o", "--output"))] = None
+    output: Annotated[Path | None, ending(".toml", ".csv"), Option("OUT", ("-o", "--output"))] = (
+        None
+    )
     plot: Figure | None = None
     table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     quiet: bool = False
+
+    @model_validator(mode="after")
+    def _check_design(self) -> Self:
+        if self.design:
+            self.refuse(_OF_RECORDINGS, " cannot be combined with --design")
+        elif not self.recordings:
+            raise ValueError("expected a recording, or --design")
+        self.refuse(() if self.design else DESIGN, " needs --design")
+        needed = ".csv" if self.design else ".toml"
+        if self.output is not None and self.output.suffix.lower() != needed:
+            raise ValueError(
+                f"--output: found '{self.output}'; expected a name that ends in {needed}"
+            )
+        return self
 
     @model_validator(mode="after")
     def _check_number(self) -> Self:
@@ -70,6 +95,11 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
 
 def run(options: IdentifyOptions) -> int:
     """Identifies a robot and returns the exit status."""
+    if options.design:
+        return design(
+            options, options.scene, options.robot, output=options.output, plot=options.plot,
+            as_json=options.as_json, quiet=options.quiet,
+        )  # fmt: skip
     if options.is_batch:
         return _identify_many(options)
     from ...study.align import choose_robot
