@@ -16,6 +16,8 @@ from .explain_search import MIN_ROWS
 from .torque_residuals import TorqueResiduals
 
 _MIN_STUCK = 0.4  # s, minimum duration
+# Duration in s below which a weak drive may also hold a joint at rest, and the highest confidence.
+_SHORT, _OF_SHORT = 1.0, 0.85
 _MOVING_QUANTILE = 0.95  # of the torques with which the drives overcame friction
 _NOISE_RATIO = 2.0  # minimum increase of reported noise
 _FINE, _MIN_NOISE = 2e-4, 1.5e-3  # shares of the torque limit
@@ -91,9 +93,11 @@ def stuck_joints(found: TorqueResiduals) -> list[Explanation]:
         evidence = evidence_at(
             found, joint, 1, before, _less(before, before, begin, last), "stuck", "joint"
         )
+        is_short = (last - begin) * found.step < _SHORT
+        confidence = _OF_SHORT if is_short else MAX_CONFIDENCE
         explanations.append(Explanation(
             name, "stuck", "joint", float(lag[np.argmax(np.abs(lag))]), torque_unit(found, joint),
-            np.nan, MAX_CONFIDENCE, float(found.times[begin]),
+            np.nan, confidence, float(found.times[begin]),
             None if last >= len(found.times) - 1 else float(found.times[last - 1]),
             begin == 0, {}, (name,), evidence=evidence,
         ))  # fmt: skip

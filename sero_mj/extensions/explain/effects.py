@@ -250,8 +250,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
         _pushed(found, robot.flange_link, robot.T_n_flange, "flange", FLANGE),
         *(_late_angles(found, k) for k in range(4, len(DELAYS), 5)),
     ]  # fmt: skip
-    angles = found.motion.links[0] - np.nanmean(found.motion.links[0], axis=0)
-    one = np.ones((len(angles), 1))
+    angles = found.motion.links[0]
     for joint, name in enumerate(robot.names):
         by_angle = found.by_angle[:, :, [joint]]
         torque = torques.model[:, [joint], None]
@@ -261,9 +260,9 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
             CommonEffect("encoder", "encoder", np.array([_ENCODER]), _scaled(scale, unit),
                          place=name, torques=-by_angle, allowed=(-_MAX_OFFSET, _MAX_OFFSET),
                          min_size=scale * 5e-4),
-            CommonEffect("encoder scale", "encoder", np.array([_GAIN, _ENCODER]), _of_scale,
+            CommonEffect("encoder scale", "encoder", np.array([_GAIN]), _percent,
                          place=name, is_constant=True, min_size=1.0,
-                         torques=-by_angle * np.stack([angles[:, [joint]], one], axis=-1)),
+                         torques=-by_angle * angles[:, [joint], None]),
             CommonEffect("elasticity", "joint", np.array([_COMPLIANCE]), _of_elasticity,
                          place=name, torques=_by_deflection(found, joint), is_constant=True,
                          allowed=(0.0, np.inf)),
@@ -376,11 +375,6 @@ def _of_center(mass: float, parameters: Array, errors: Array, joint: int) -> Siz
     shift = parameters / mass
     size, error = float(np.linalg.norm(shift)), float(np.linalg.norm(errors)) / mass
     return Size(size, error, "m", _vector(shift))
-
-
-def _of_scale(parameters: Array, errors: Array, joint: int) -> Size:
-    values = {"offset": float(parameters[1])}
-    return Size(100.0 * float(parameters[0]), 100.0 * float(errors[0]), "%", values)
 
 
 def _of_elasticity(parameters: Array, errors: Array, joint: int) -> Size:

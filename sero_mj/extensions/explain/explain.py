@@ -56,6 +56,7 @@ from ...study.explanation import (
     Part,
     by_place,
 )
+from .corrected_angles import with_correct_angles
 from .direct_faults import noisy_sensors, stuck_joints, stuck_sensors, wrong_drives
 from .evidence_rows import merged, rows_line
 from .explain_search import Search
@@ -76,6 +77,7 @@ _FAST_CONFIDENCE = 0.85  # of a drive that runs away, because its data is short
 # Number of joints that are rarely faulty in the same way for different reasons, the highest
 # confidence of such faults, and the relative spread of equal delays.
 _MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
+_OF_ONE_JOINT = ("gain", "bias", "delay", "friction drift", "spring")
 
 
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
@@ -90,6 +92,11 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
     if faults:
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
     explained = _explain_correct(log, robot, found)
+    if (correct := with_correct_angles(log, robot, explained)) is not None:
+        fault, log = correct
+        found = replace(torque_residuals(log, robot), no_model=found.no_model)
+        again = _explain_correct(log, robot, found)
+        explained = [fault, *(each for each in again if each.part != "angles")]
     explanations = [*faults, *_of_many_joints(explained, found.robot.names)]
     return with_next(explanations, _by_known_links(found))
 
@@ -274,7 +281,7 @@ def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -
     # probably have a common cause that is not known.
     groups: dict[tuple[str, str, bool], list[Explanation]] = {}
     for each in explanations:
-        if each.joint in names and each.kind in ("gain", "bias", "delay", "friction drift"):
+        if each.joint in names and each.kind in _OF_ONE_JOINT:
             groups.setdefault((each.kind, each.part, each.is_second), []).append(each)
     found = list(explanations)
     for (kind, part, _), group in groups.items():
