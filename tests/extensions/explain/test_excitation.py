@@ -22,7 +22,7 @@ from sero_mj.cli import main
 from sero_mj.extensions.explain import excitation
 from sero_mj.extensions.explain.base_parameters import BaseParameters, standard_torques
 from sero_mj.extensions.explain.clearance import Clearance
-from sero_mj.extensions.explain.design_command import write_motion
+from sero_mj.extensions.explain.design_command import as_lines, summarize, write_motion
 from sero_mj.extensions.explain.excitation import Excitation, FourierSeries, design_excitation
 from sero_mj.extensions.explain.identify import identify
 from sero_mj.extensions.explain.link_torques import body_torques, link_torques
@@ -56,7 +56,8 @@ def quick() -> Any:
     """Shortens the search."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(excitation, "_DRAWS", 40)
-        patch.setattr(excitation, "_EVALUATIONS", 4)
+        patch.setattr(excitation, "_STARTS", 1)
+        patch.setattr(excitation, "_EVALUATIONS", 5)
         yield
 
 
@@ -245,6 +246,17 @@ def test_collision_at_the_start_is_reported_and_permanent_overlap_is_not() -> No
     Clearance(Scene(robots=[robot]), "lwr", 0.02, down, np.tile(down, (40, 1)))
 
 
+def test_links_without_collision_shapes_are_reported() -> None:
+    robot, start = SerialRobot(**ARM, collisions=[]), np.zeros(3)
+    space = Clearance(Scene(robots=[robot]), "arm", 0.02, start, start[None])
+    text = "no collision shapes are declared, so distances are not checked"
+    assert space.notes == [f"arm/link1, arm/link2, arm/link3: {text}"]
+    assert np.isinf(space.nearest(start[None])[0])
+    robot = SerialRobot.from_model("lwr")
+    start = np.zeros(7)
+    assert Clearance(Scene(robots=[robot]), "lwr", 0.02, start, start[None]).notes == []
+
+
 LOAD, AT = 2.0, np.array([0.02, 0.03, 0.08])
 SCENARIO = f"""
 [robots.lwr]
@@ -364,17 +376,29 @@ def test_command_writes_table_figure_and_summary(
     )
     table, figure = tmp_path / "excite.csv", tmp_path / "excite.svg"
     cell = ("--design", "--scene", tmp_path / "cell.toml", "--period", 4, "--rate", 100)
-    assert command("identify", *cell, "--robot", "two", "-o", table, "--plot", figure) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("two: 4 s, moves ")
-    assert "condition number: " in out and "no torque limits are declared" in out
+    out = ("-o", table, "--plot", figure, "--json")
+    assert command("identify", *cell, "--robot", "two", *out) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["robot"] == "two" and summary["duration"] == 4.0
+    assert summary["velocity"]["share"] <= 0.8001
+    assert summary["torque"] is None  # a SCARA without torque limits
     assert len(table.read_text(encoding="utf-8").splitlines()) == 402
     assert "two: motion for identification" in figure.read_text(encoding="utf-8")
-    assert command("identify", *cell, "--robot", "one", "--json") == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert summary["duration"] == 4.0 and summary["velocity"]["share"] <= 0.8001
     assert command("identify", *cell) == 2
     assert "has several robots; expected one of one, two" in capsys.readouterr().err
+
+
+def test_summary_names_joints_limits_and_notes(arm: Excitation) -> None:
+    summary = summarize(arm, periods=3)
+    first, second, *lines = as_lines(summary)
+    assert first == "arm: 18 s, moves turn, slide, and with them follow"
+    assert second.startswith(f"condition number: {arm.condition()[0]:.3g} for ")
+    used = arm.used(TIMES)["velocity"]
+    joint = ["turn", "slide"][int(used.max(axis=0).argmax())]
+    assert f"velocity: at most {SHARE * used.max():.0%} of the limit ({joint} at " in "\n".join(
+        lines
+    )
+    assert sum(line.startswith("note: ") for line in lines) == len(summary["notes"]) >= 2
 
 
 @pytest.mark.parametrize(
