@@ -171,6 +171,23 @@ def test_robot_touches_neither_itself_nor_the_floor(lwr: Excitation) -> None:
     assert least == pytest.approx(exact, abs=2e-3)
 
 
+def test_torques_of_a_mounted_robot_are_those_of_its_pose(quick: None) -> None:
+    # A robot that lies on its side: the first joint moves about a horizontal axis.
+    bare = {**ARM, "collisions": [], "torque_limits": None}
+    below = SerialRobot(**{**bare, "name": "below", "base_frame": {"rpy": [0.0, np.pi / 2, 0.0]}})
+    above = SerialRobot(**{**bare, "mount": "below/base"})
+    alone = SerialRobot(**{**bare, "base_frame": below.base_frame})
+    mounted, other = (
+        design_excitation(Scene(robots=robots, floor=False), "arm", period=PERIOD)
+        for robots in ([below, above], [alone])
+    )
+    np.testing.assert_allclose(
+        mounted.regressor.at(*other.independent(TIMES))[1], other.torques(TIMES), atol=1e-9
+    )
+    carrying = design_excitation(Scene(robots=[below, above], floor=False), "below", period=PERIOD)
+    assert "torques do not include the loads arm" in carrying.limits.notes
+
+
 def test_floor_limits_the_motion(quick: None) -> None:
     robot = SerialRobot.from_model("lwr", joint_angles=np.deg2rad([0, 95, 0, 20, 0, 0, 0]))
     found = design_excitation(Scene(robots=[robot]), "lwr", period=PERIOD, clearance=0.05)
