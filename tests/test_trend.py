@@ -6,6 +6,7 @@ import csv
 import json
 import os
 import re
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,7 @@ from sero_mj.study.change_points import fit_segments
 from sero_mj.study.explanation import Parameter
 from sero_mj.study.measured import Measured, date_of
 from sero_mj.study.trend import Trend, date_texts, find_trends
+from sero_mj.study.trend_page import write_trend_page
 
 FIRST = datetime(2026, 10, 30, 3, 15).astimezone()
 NIGHTS = 12
@@ -104,11 +106,11 @@ def test_steps_and_drifts_are_reported_with_their_dates(
     assert step is not None and step.groups()[1:] == (before, after)
     assert int(step[1]) == pytest.approx(60, abs=2)
     (drift,) = (line for line in lines if "rises by" in line)
-    rate = re.search(r"upper temperatures rises by ([\d.]+) ± ([\d.]+) °C per day since", drift)
+    rate = re.search(r"upper temperature rises by ([\d.]+) ± ([\d.]+) °C per day since", drift)
     assert rate is not None
     assert float(rate[1]) == pytest.approx(1.0, abs=0.1)
     assert "%" not in drift  # a share of a temperature in degrees is meaningless
-    assert shown.err.strip().endswith("upper rms torque error, upper temperatures")
+    assert shown.err.strip().endswith("upper rms torque error, upper temperature")
     assert "good.mcap" in lines[0] and "12 recordings" in shown.out
     with table.open(encoding="utf-8") as file:
         rows = {Path(row["recording"]).name: row for row in csv.DictReader(file)}
@@ -116,11 +118,11 @@ def test_steps_and_drifts_are_reported_with_their_dates(
     assert float(rows["night00.mcap"]["lower.rms_torque_error"]) == pytest.approx(
         (0.5 * 200 / 199) ** 0.5  # the first row has no command
     )
-    assert float(rows["night00.mcap"]["lower.temperatures"]) == pytest.approx(31.0)
+    assert float(rows["night00.mcap"]["lower.temperature"]) == pytest.approx(31.0)
     assert rows["night03.mcap"]["date"] == (FIRST + timedelta(days=3)).isoformat()
     suite = ElementTree.parse(junit).getroot()[0]
     failed = {(each.get("classname"), each.get("name")) for each in suite if len(each)}
-    assert failed == {("upper", "rms_torque_error"), ("upper", "temperatures")}
+    assert failed == {("upper", "rms_torque_error"), ("upper", "temperature")}
     assert (suite.get("tests"), suite.get("failures")) == ("4", "2")
     # Changes within the tolerance are not an error.
     assert compare(nights, "--tolerance-change", 70, "--quiet") == 0
@@ -158,7 +160,7 @@ def test_recordings_that_cannot_be_compared_are_skipped_with_the_reason(
     changed = trends["upper", "rms_torque_error"]
     assert changed["changed"] and len(changed["values"]) == NIGHTS + 1
     assert [Path(each).name for each in changed["change_points"]] == ["night07.mcap"]
-    assert len(trends["upper", "temperatures"]["values"]) == NIGHTS + 2  # also d_partly.mcap
+    assert len(trends["upper", "temperature"]["values"]) == NIGHTS + 2  # also d_partly.mcap
     assert not trends["lower", "rms_torque_error"]["changed"]
     text = page.read_text(encoding="utf-8")
     assert "c_joints.mcap: arm has the joints hip, knee" in text
@@ -182,7 +184,7 @@ def test_page_draws_all_values_and_sorts_its_table(nights: Path, browser: Any) -
     assert np.ptp(np.diff(at)[1:]) < 0.2 and at[1] - at[0] < 3.0 * (at[2] - at[1])
     assert page.locator("svg a").nth(1).get_attribute("href") == "night00.mcap"
     names = [row.split("\t")[1] for row in page.locator("tbody tr").all_inner_texts()]
-    assert set(names[:2]) == {"rms torque error", "temperatures"}  # the significant ones
+    assert set(names[:2]) == {"rms torque error", "temperature"}  # the significant ones
     for heading, column in (("baseline", 3), ("joint", 0)):
         page.get_by_role("button", name=heading).click()
         cells = [row.split("\t")[column] for row in page.locator("tbody tr").all_inner_texts()]
@@ -252,6 +254,21 @@ def test_repaired_robot_is_not_changed_but_its_steps_are_listed() -> None:
     found = trend_of(values)
     assert found.steps == [5, 9] and not found.is_changed
     assert "rose" in found.events[0] and "fell" in found.events[1]
+
+
+def test_names_on_the_page_are_not_markup(tmp_path: Path) -> None:
+    hostile = Parameter('<script>"&', "<i>", "<b>", 1.0)
+    runs = [
+        Measured('<u>".mcap', FIRST + timedelta(days=k), False, "lwr", ["A"],
+                 [replace(hostile, value=1.0 + (k > 5))], np.zeros((2, 1)))
+        for k in range(12)
+    ]  # fmt: skip
+    found = find_trends(runs[0], runs[1:], 0.1, 0.5)
+    assert found[0].is_changed
+    write_trend_page(tmp_path / "t.html", "<u>", found, [("<u>", "<u>")], ["<u>"])
+    text = (tmp_path / "t.html").read_text(encoding="utf-8")
+    assert not re.search('<(u|i)>|<b><|<script>"|">"', text)
+    assert text.count("<script>") == 1
 
 
 def test_small_changes_are_not_reported() -> None:

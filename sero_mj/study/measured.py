@@ -94,7 +94,9 @@ def _parameters(log: RunLog, robot: str) -> list[Parameter]:
         if "temperature" in name and event_of(robot, name) in log.signals:
             values = np.ma.masked_invalid(log.of(robot, name)).mean(axis=0).filled(np.nan)
             found += [
-                Parameter(joint, name, DEGREES, _number(value), min_change=_MIN_HEATING)
+                Parameter(
+                    joint, name.removesuffix("s"), DEGREES, _number(value), min_change=_MIN_HEATING
+                )
                 for joint, value in zip(declared.names, values, strict=True)
             ]
     order = {joint: k for k, joint in enumerate(declared.names)}

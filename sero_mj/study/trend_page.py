@@ -18,7 +18,7 @@ _WIDTH, _HEIGHT = 200.0, 112.0
 _LEFT, _RIGHT, _TOP, _BOTTOM = 38.0, 194.0, 16.0, 96.0  # of the plotted area
 _MARGIN = 5.0  # between the area's edges and the points
 _MIN_RANGE = 0.2  # range of a panel as a share of the baseline, so that noise does not fill it
-_FAR = 1.5  # a baseline that is more than this share of the other times earlier is not to scale
+_FAR = 0.5  # a baseline that is more than this share of the other times earlier is not to scale
 _TEXT = 5.8  # width of a character
 _HEADINGS = ("joint", "parameter", "unit", "baseline", "last", "change", "at", "significance",
              "verdict")  # fmt: skip
