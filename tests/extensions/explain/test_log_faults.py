@@ -187,6 +187,12 @@ def test_search_continues_with_the_corrected_signals() -> None:
     bias = {"kind": "sensor", "bias": -4.0, "joints": ["A3"], "begin": 1.3}
     log = columns(moved("lwr", 0, json.dumps(bias)), ANGLES, exchanged(1, 3))
     fault, sensor = explain_run(log, "lwr")
+    evidence = fault.evidence
+    assert evidence is not None and evidence.joint in fault.joints
+    assert (evidence.side, evidence.quantity) == ("link", "angle")
+    assert fault.next == "move one joint after the other, and check its column"
+    before, after = (np.nanmax(np.abs(each)) for each in (evidence.before, evidence.after))
+    assert after < 0.2 * before
     assert (fault.kind, fault.joints) == ("swap", ("A2", "A3"))
     assert str(fault) == "swap: the angles of A2 and A3 are exchanged in the log, from the start"
     assert fault.short == "swap (angles)"
