@@ -1,12 +1,13 @@
 """Measures how often identified parameters are within 1, 2 and 3 standard errors of the truth.
 
     python benchmarks/identify.py simulate [--runs 200] [--jobs 2]
-    python benchmarks/identify.py judge [--links] [--commanded]
+    python benchmarks/identify.py judge [--links | --commanded]
 
 `simulate` writes runs of an independent simulation in plain MuJoCo (see `verdicts/plant.py`) with
 random friction, motor inertia, payload, sensor offsets and noise to out/identify. It skips runs
 that are already there, so it can be interrupted. `judge` identifies each run and prints the share
-of true values within 1, 2 and 3 standard errors, by kind of parameter.
+of true values within 1, 2 and 3 standard errors, by kind of parameter. With --links, it identifies
+all links instead of a payload. With --commanded, it does so without torque sensors.
 """
 
 from __future__ import annotations
@@ -28,13 +29,17 @@ import numpy as np
 from plant import Log, Plant, load_robot
 
 from sero_mj.cli.arguments import read_scene
+from sero_mj.extensions.explain.base_parameters import standard_torques
 from sero_mj.extensions.explain.identify import figures, identify
 from sero_mj.extensions.explain.regression import Estimate
+from sero_mj.extensions.explain.whole_robot import identify_links
+from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.runs.run_log import RunLog
 
 ROBOTS, DURATION = ("lwr", "fr3"), 10.0
 OUT = Path("out/identify")
+_COMMAND_NOISE = 5e-4  # share of the torque limit, of measured currents without torque sensors
 Truth = dict[str, Any]
 
 
@@ -118,6 +123,43 @@ def judge(seed: int) -> list[tuple[str, float]]:
     return [(kind_of(key), distance(found[key], value)) for key, value in truth.items()]
 
 
+def judge_links(seed: int, has_sensors: bool = True) -> list[tuple[str, float]]:
+    """Does the same for the identification of all links, without torque sensors if requested."""
+    log, name, truth = read(seed)
+    robot = log.robots[name]
+    if not has_sensors:
+        commands = log.signals[f"{name}_commanded_torques"]
+        noise = np.random.default_rng(seed).normal(0.0, _COMMAND_NOISE, commands.shape)
+        signals = {f"{name}_joint_angles": log.signals[f"{name}_joint_angles"],
+                   f"{name}_commanded_torques": commands + noise * robot.torque_bounds}  # fmt: skip
+        log = RunLog(log.robots, signals, log.times, log.name)
+    whole = identify_links(log, name)
+    with np.load(OUT / f"run{seed}.npz") as file:
+        states, torques = file["states"], file["link_torques"]
+    parameters = {each.name: each for each in whole.parameters}
+    for k, joint in enumerate(robot.names):
+        offset, inertia = f"{joint}.torque_offset", f"{joint}.motor_inertia"
+        if not has_sensors:
+            truth[offset] = 0.0
+        truth[f"{joint}.drive_offset"] = -truth[offset]
+        if inertia not in parameters:  # then it is part of the inertia of the link
+            more = truth[inertia] - robot_dynamics(robot).motor_inertias[k]
+            torques[:, k] += more * states[2][:, k]
+    X = whole.base.columns(standard_torques(robot, *states)).reshape(torques.size, -1)
+    links = np.linalg.lstsq(X, torques.ravel(), rcond=None)[0]
+    truth |= dict(zip(whole.base.names, links, strict=True))
+    rows = []
+    for key, (estimate, unit) in whole.named().items():
+        kind = parameters[key].kind
+        label = f"links, {unit}" if kind == "link" else kind
+        rows.append((label, distance(estimate, truth.get(key, 0.0))))
+    return rows
+
+
+def judge_commanded(seed: int) -> list[tuple[str, float]]:
+    return judge_links(seed, has_sensors=False)
+
+
 def kind_of(key: str) -> str:
     what = key.rpartition(".")[2]
     return "payload center" if what in "xyz" else "payload mass" if what == "mass" else what
@@ -148,13 +190,18 @@ def main() -> int:
     parser.add_argument("what", choices=("simulate", "judge"))
     parser.add_argument("--runs", type=int, default=200)
     parser.add_argument("--jobs", type=int, default=2)
+    parser.add_argument("--links", action="store_true")
+    parser.add_argument("--commanded", action="store_true")
     options = parser.parse_args()
     OUT.mkdir(parents=True, exist_ok=True)
     with ProcessPoolExecutor(options.jobs, get_context("spawn")) as pool:
         if options.what == "simulate":
             list(pool.map(simulate, range(options.runs)))
         else:
-            rows = pool.map(judge, range(options.runs))
+            chosen = judge_commanded if options.commanded else judge_links
+            if not (options.commanded or options.links):
+                chosen = judge
+            rows = pool.map(chosen, range(options.runs))
             report(each for row in rows for each in row)
     return 0
 
