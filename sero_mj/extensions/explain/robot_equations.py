@@ -11,7 +11,7 @@ Without torque sensors, there is one equation for each joint, which is the sum o
 
 Further terms are added if they are needed: Stribeck friction s sign(dq) exp(-(dq / v_s)^2),
 friction in proportion to the link torque l |torque| sign(dq), and the derivatives with respect to
-angle offsets and to the direction of gravity.
+angle offsets and to the inclination of the base about x and y of the world.
 
 Sources: Khalil, Dombre, Modeling, Identification and Control of Robots, 2002, chapter 12.
 Armstrong-Hélouvry, Dupont, Canudas de Wit, A survey of models, analysis tools and compensation
@@ -64,7 +64,7 @@ class Parameter:
     @classmethod
     def of_joint(cls, robot: SerialRobot, kind: str, joint: int, speed: float = 0.0) -> Parameter:
         unit = _UNITS[kind][robot.types[joint] == "revolute" if kind != "tilt" else 0]
-        name = f"gravity.{'xy'[joint]}" if kind == "tilt" else f"{robot.names[joint]}.{kind}"
+        name = f"base.tilt_{'xy'[joint]}" if kind == "tilt" else f"{robot.names[joint]}.{kind}"
         return cls(kind, name, unit, joint, speed)
 
 

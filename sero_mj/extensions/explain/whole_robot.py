@@ -4,9 +4,10 @@ The declared masses are not needed. The steps are:
 
 1. Weighted least squares of all joints (see `RobotEquations`), whose standard errors account for
    autocorrelated residuals. Joints are weighted by their residuals (Aitken).
-2. Optional parameters (Stribeck and load-dependent friction, angle offsets, direction of gravity)
-   are added one by one, as long as they are highly significant and predict parts of the run that
-   were not used for the fit. The last two are nonlinear, so the fit is repeated (Gauss-Newton).
+2. Optional parameters (Stribeck and load-dependent friction, angle offsets, inclination of the
+   base) are added one by one, as long as they are highly significant and predict parts of the run
+   that were not used for the fit. The last two are nonlinear, so the fit is repeated
+   (Gauss-Newton method).
 3. Physically consistent links that fit the base parameters and are otherwise close to the declared
    links (see `consistent_parameters`).
 """
@@ -35,7 +36,7 @@ _FOLDS = 5  # parts of the run for cross-validation
 _MIN_SIGNIFICANCE = 6.0  # standard errors of an optional parameter
 _MIN_GAIN = 0.02  # share of the cross-validated squared error that it explains
 _MAX_OPTIONAL = 20
-_MAX_INFLATION = 100.0  # of an optional parameter
+_MAX_INFLATION = 1e6  # of an optional parameter
 _DEPENDENT = 1e7  # inflation of a parameter that the run does not determine
 _ROUNDS = 3  # of the Gauss-Newton method
 # Weights of the declared and of the estimated links, for relative errors of about 50 % and 200 %.
@@ -85,7 +86,7 @@ class WholeRobot:
 
 @dataclass(frozen=True)
 class PredictionError:
-    """Root mean square of the errors of predicted torques of one joint, Nm or N.
+    """Root mean square of the errors of predicted torques of one joint.
 
     Attributes:
         side: `link` for measured torques, `drive` for friction and motor inertia.
@@ -97,6 +98,7 @@ class PredictionError:
     side: str
     before: float
     after: float
+    unit: str
 
 
 def identify_links(log: RunLog, name: str) -> WholeRobot:
@@ -146,7 +148,9 @@ def prediction_errors(whole: WholeRobot, log: RunLog, name: str) -> list[Predict
         known = after.known[:, k]
         if known.any():
             old, new = (float(np.sqrt(np.mean(each[known, k] ** 2))) for each in (before, left))
-            rows.append(PredictionError(build.robot.names[k % build.robot.n], side, old, new))
+            joint = k % build.robot.n
+            unit = "Nm" if build.robot.types[joint] == "revolute" else "N"
+            rows.append(PredictionError(build.robot.names[joint], side, old, new, unit))
     return rows
 
 

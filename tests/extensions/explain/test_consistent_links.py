@@ -16,9 +16,12 @@ from sero_mj.robots.declared.robot import SerialRobot
 def test_pseudo_inertia_is_the_second_moment_of_points() -> None:
     rng = np.random.default_rng(0)
     points, masses = rng.normal(size=(8, 3)), rng.uniform(0.1, 1.0, 8)
-    tensor = sum(m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points))
+    tensor = sum(
+        m * (p @ p * np.eye(3) - np.outer(p, p)) for m, p in zip(masses, points, strict=True)
+    )
     parameters = np.array([
-        masses.sum(), *(masses @ points), *np.diag(tensor), tensor[0, 1], tensor[0, 2], tensor[1, 2],
+        masses.sum(), *(masses @ points), *np.diag(tensor),
+        tensor[0, 1], tensor[0, 2], tensor[1, 2],
     ])  # fmt: skip
     homogeneous = np.column_stack([points, np.ones(8)])
     expected = homogeneous.T @ (masses[:, None] * homogeneous)
@@ -41,7 +44,9 @@ def test_result_is_the_minimum_by_another_solver() -> None:
             return 1e9
         left = base.combination @ (found + x * scale) - values
         size = np.log(np.linalg.det(P)).sum()
-        return float(0.5 * left @ information @ left + 2.0 * (np.einsum("nij,nji", inverse, P) - size))
+        return float(
+            0.5 * left @ information @ left + 2.0 * (np.einsum("nij,nji", inverse, P) - size)
+        )
 
     start = cost(np.zeros(len(prior)))
     best = minimize(cost, np.zeros(len(prior)), method="Powell", options={"maxiter": 3})
