@@ -65,7 +65,9 @@ lower[: 10 * n].reshape(n, 10)[:, [0, 4, 6, 9]] = 0.0  # mass, Ixx, Iyy, Izz
 weights = np.ones(n)
 for _ in range(2):
     W = np.tile(weights, len(X))
-    theta = lsq_linear(rows * W[:, None], torques.ravel() * W, (lower, np.inf), "bvls", 1e-12, max_iter=2000).x
+    theta = lsq_linear(
+        rows * W[:, None], torques.ravel() * W, (lower, np.inf), "bvls", 1e-12, max_iter=2000
+    ).x
     weights = 1.0 / (torques.ravel() - rows @ theta).reshape(-1, n).std(axis=0)
 with np.load(OUT / "peer.npz") as truth:
     states, true = truth["states"], truth["torques"]
