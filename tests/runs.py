@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sero_mj.data.receive.structure import Structure
+from sero_mj.data.record.recording_format import RecordingClock
 from sero_mj.data.record.recording_writer import RecordingWriter
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
@@ -112,10 +113,11 @@ def record_packets(
     times: Array,
     files: Mapping[str, str],
     source: str = "udp",
+    clock: RecordingClock | None = None,
 ) -> Path:
     """Records packets like `sero-mj record`: unchanged, with the files of the scene."""
     layout = Structure(structure)
-    with RecordingWriter(path, about={"scene": "mine"}) as writer:
+    with RecordingWriter(path, about={"scene": "mine"}, clock=clock) as writer:
         writer.add_source(
             source,
             kind="udp",

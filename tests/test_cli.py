@@ -420,11 +420,11 @@ def test_check_tests_every_backend_and_suggests_packages(
     for name, backend in found["backends"].items():
         line = next(line for line in text.splitlines() if f"  {name} " in line)
         assert ("works: " in line) == backend["works"]
-    assert "a frame of an LWR with egl, 1280x800: normal " in text
+    assert "one 1280x800 frame of an LWR with egl: normal " in text
     assert ("slow for live views" in text) != ("fast enough" in text)
-    assert "sero-mj view: page can be opened" in text
+    assert "sero-mj view: page available" in text
     assert ("chrt -f 50" in text) == found["fifo"] != ("rtprio" in text)
-    where = "can be opened" if found["live"]["window"] is None else "not here: neither DISPLAY"
+    where = "available" if found["live"]["window"] is None else "unavailable: neither DISPLAY"
     assert f"sero-mj view: window {where}" in text
     if not all(backend["works"] for backend in found["backends"].values()):
         assert "apt install" in text

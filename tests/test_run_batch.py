@@ -84,7 +84,7 @@ def check(scenarios: list[Scenario], steps: int | None = None) -> list[Simulatio
         assert [*run.log.signals] == [*alone.log.signals]
         for event, values in alone.log.signals.items():
             np.testing.assert_allclose(
-                run.log.signals[event], values, rtol=0, atol=1e-9, err_msg=event
+                run.log.signals[event], values, rtol=0, atol=1e-8, err_msg=event
             )
         assert run.findings() == alone.findings()
     return runs

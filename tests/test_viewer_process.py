@@ -109,6 +109,27 @@ def test_image_includes_all_previous_inputs(viewer: Viewer) -> None:
 
 @pytest.mark.thorough
 @pytest.mark.skipif(bool(NO_BROWSER), reason=f"needs {', '.join(NO_BROWSER)}")
+def test_first_torques_show_arrows_and_billboards_unless_declared() -> None:
+    quiet = SerialRobot.from_model("lwr", name="quiet", show_arrows=False, show_billboards=False)
+    scene = Scene(robots=[SerialRobot.from_model("lwr"), quiet])
+    with sero_mj.view(scene, web=True) as viewer:
+
+        def shown(name: str) -> list[bool]:
+            slots, values = viewer.world.slots, viewer._memory.data.userdata
+            toggles = ("show_arrows", "show_billboards")
+            return [bool(values[slots[f"{name}.{toggle}"]][0] > 0.5) for toggle in toggles]
+
+        viewer.set("lwr.show_billboards", False)
+        assert shown("lwr") == [False, False]
+        for name in ("lwr", "quiet"):
+            viewer.robot(name).torques = [10.0] * 7
+        assert shown("lwr") == [True, False]  # the program has set the billboards
+        assert shown("quiet") == [False, False]
+        viewer.set("lwr.show_arrows", False)
+        viewer.robot("lwr").torques = [20.0] * 7
+        assert shown("lwr") == [False, False]
+
+
 def test_browser_sees_the_viewer_live_without_calls(viewer: Viewer, browser: Any) -> None:
     states: list[str] = []
 

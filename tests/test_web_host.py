@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import socket
 import struct
+import time
 import urllib.parse
 import urllib.request
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import av
@@ -660,6 +662,36 @@ def test_simulation_waits_for_the_first_browser(home: None) -> None:
         assert page.clock.time == 0.0
         with PageClient(page) as client:
             client.until(lambda: page.clock.time > 0.0)
+
+
+def test_page_that_no_browser_shows_only_follows_the_data(
+    monkeypatch: pytest.MonkeyPatch, home: None
+) -> None:
+    source = UdpReceiver(name="udp", port=0, structure="7F")
+    scene = Scene(
+        robots=[SerialRobot.from_model("lwr")],
+        sources={"udp": source},
+        routes={"lwr.joint_angles": "udp.values0"},
+    )
+    with Mirror(scene) as mirror, WebHost(mirror) as page:
+        drawn: list[int] = []
+        pauses: list[float] = []
+        lay_out = page.decor.lay_out
+
+        def count(*arguments: Any) -> None:
+            drawn.append(1)
+            lay_out(*arguments)
+
+        monkeypatch.setattr(page.decor, "lay_out", count)
+        with monkeypatch.context() as patched:
+            clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
+            patched.setattr("sero_mj.viewer.web.host.time", clock)
+            for _ in range(5):
+                page.frame()
+        assert len(drawn) == 1  # a browser that connects must find a state
+        assert 0.05 < pauses[-1] <= 0.1
+        with PageClient(page) as client:
+            client.until(lambda: len(drawn) > 5)
 
 
 def test_pages_of_one_process_are_beside_each_other(home: None) -> None:

@@ -389,6 +389,18 @@ def test_nan_counts_as_no_data_and_moves_nothing():
     assert not data.qpos.any()
 
 
+def test_reset_accepts_data_of_the_model_without_visual_geometry():
+    world = World(Scene(robots=[SerialRobot.from_model("lwr")]), dynamic=True)
+    model = world.physics_model()
+    assert 0 < model.ngeom < world.model.ngeom
+    data, expected = mujoco.MjData(model), mujoco.MjData(model)
+    world.reset(data)
+    expected.qpos[:] = data.qpos
+    expected.mocap_pos[:], expected.mocap_quat[:] = data.mocap_pos, data.mocap_quat
+    mujoco.mj_forward(model, expected)
+    np.testing.assert_array_equal(data.geom_xpos, expected.geom_xpos)
+
+
 def test_unknown_inputs_and_robots_are_rejected_with_the_nearest_name():
     world, _, data = compiled(arm())
     for target, text in [
@@ -445,6 +457,19 @@ def test_declared_lights_are_used_or_one_default_light():
     kind = mujoco.mjtLightType
     assert model.light_type[[sun, spot]].tolist() == [kind.mjLIGHT_DIRECTIONAL, kind.mjLIGHT_SPOT]
     assert compiled()[1].nlight == 1
+
+
+def test_default_light_points_at_the_middle_of_the_robots():
+    robots = [
+        SerialRobot.from_model("lwr", name=name, base_frame={"xyz": [x, 2.0, 0.0]})
+        for name, x in (("left", -1.0), ("right", 3.0))
+    ]
+    model = World(Scene(robots=robots)).model
+    light = model.light("key")
+    middle = np.array([1.0, 2.0, light.pos[2] - 4.0])
+    between = middle - light.pos
+    assert np.linalg.norm(np.cross(between, light.dir)) < 1e-6
+    assert 0.5 < middle[2] < 0.8  # half of the height of an upright LWR
 
 
 def test_floor_is_at_height_zero_unless_omitted():

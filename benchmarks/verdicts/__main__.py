@@ -14,18 +14,31 @@ import argparse
 import json
 import logging
 import sys
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # the product of this checkout
 
 import report
 from faults import CLEAN, KINDS
-from measure import measure
+from measure import Task, measure
 from plant import ROBOTS
 
+_RUNS_PER_PROCESS = 60
 _MORE_CLEAN = 3  # additional seeds of runs without a fault
+
+
+def _measured(tasks: Sequence[Task], jobs: int) -> Iterator[dict[str, Any]]:
+    # New processes now and then, because the product caches the tables that it has read. With
+    # `max_tasks_per_child`, pools of Python 3.11 can stop forever.
+    for batch in range(0, len(tasks), _RUNS_PER_PROCESS * jobs):
+        with ProcessPoolExecutor(
+            jobs, get_context("spawn"), logging.disable, (logging.WARNING,)
+        ) as pool:
+            yield from pool.map(measure, tasks[batch : batch + _RUNS_PER_PROCESS * jobs])
 
 
 def main() -> int:
@@ -46,23 +59,13 @@ def main() -> int:
     ]
     options.out.mkdir(parents=True, exist_ok=True)
     results = options.out / "results.jsonl"
-    if not options.resume:
+    if not (options.resume and results.exists()):
         results.write_text("", "utf-8")
     rows = [json.loads(line) for line in results.read_text("utf-8").splitlines()]
     done = {(row["robot"], row["fault"], row["seed"]) for row in rows}
     tasks = [task for task in tasks if task not in done]
-    # New processes now and then, because the product caches the tables that it has read.
-    with (
-        ProcessPoolExecutor(
-            options.jobs,
-            get_context("spawn"),
-            logging.disable,
-            (logging.WARNING,),
-            max_tasks_per_child=60,
-        ) as pool,
-        results.open("a", encoding="utf-8") as file,
-    ):
-        for count, row in enumerate(pool.map(measure, tasks), 1):
+    with results.open("a", encoding="utf-8") as file:
+        for count, row in enumerate(_measured(tasks, options.jobs), 1):
             rows.append(row)
             print(json.dumps(row), file=file, flush=True)
             print(f"\r{count} of {len(tasks)} runs", end="", file=sys.stderr, flush=True)

@@ -6,6 +6,8 @@ import numpy as np
 
 from .frames import Array
 
+_BATCHES = 5
+
 
 def envelope(times: Array, values: Array, bins: int) -> tuple[Array, Array]:
     """Returns the times and values of the minimum and the maximum in each of `bins` intervals.
@@ -44,3 +46,18 @@ def rms(values: Array) -> float:
     """Returns the root mean square of the values that are not NaN, or NaN if all values are NaN."""
     known = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(known**2))) if len(known) else np.nan
+
+
+def rms_with_error(values: Array) -> tuple[float, float]:
+    """Returns the root mean square of the known values, and its standard error.
+
+    The error is that of batch means: the scatter between the mean squares of consecutive fifths,
+    because neighboring values are not independent. Both are NaN if there are too few values.
+    """
+    known = values[np.isfinite(values)]
+    if len(known) < _BATCHES:
+        return np.nan, np.nan
+    found = rms(known)
+    squares = [np.mean(batch**2) for batch in np.array_split(known, _BATCHES)]
+    error = np.std(squares, ddof=1) / np.sqrt(_BATCHES)
+    return found, float(error / (2.0 * found)) if found > 0.0 else 0.0

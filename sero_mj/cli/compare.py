@@ -17,7 +17,8 @@ from ..base.options import NotNegative, Option, ending, positional
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.image.image_options import VIDEO_FORMATS, SizeOptions, VideoOptions
 from .arguments import command, print_json, print_table, print_wrapped, progress_bar
-from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
+from .compare_trend import TrendOptions, run_trend
+from .shared_options import Figure
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -30,21 +31,26 @@ if TYPE_CHECKING:
 _HELP = """\
 examples:
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
-  sero-mj compare run.mcap                              commanded and measured torque of one run
   sero-mj compare good.mcap runs/*.mcap --table table.csv   one row per recording
+  sero-mj compare nightly/*.mcap --baseline good.mcap -o trend.html   friction over weeks
 
 Differences are A minus B. Time starts at the beginning of a simulation, or at the first packet of a
 robot. For each joint, the report explains the difference: sign, gain, bias, delay or noise of a
 torque sensor or drive, friction, a payload, or a stuck joint. Several recordings are compared in
 parallel by local processes or by the workers of a Dask cluster, and the report has one row for each
 recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
+
+With --baseline, the report shows friction, offsets, gravity errors, torque errors and temperatures
+of each joint over time, with change points and drifts. Recordings that cannot be compared are
+skipped. The exit status is 1 if a parameter changed beyond --tolerance-change.
 """
 GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # maximum width of explanations in a table of many recordings, characters
+_TREND_OPTIONS = ("junit", "limit", "tolerance_change")
 _BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
-class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
+class CompareOptions(SizeOptions, TrendOptions):
     """Compare recordings of a robot, joint by joint.
 
     Attributes:
@@ -53,21 +59,15 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         more: further recordings to compare with A.
         each: compare commanded and measured torques in each recording.
         against_model: compare A with the robot's model in the same motion.
-        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
         source: source to read; NAME,NAME for A and B (default: all sources).
         offset: offset in seconds added to the times of B; auto estimates it from the motion.
         plot: draw a figure: .png, .pdf or .svg.
         csv: write both recordings and their difference to a table.
-        table: write one row per recording to a table.
-        as_json: print the result as JSON.
-        output: write a page that plays A and B, with explanations of the difference on the
-            timeline.
         render: render a video of A with the difference as arrows, and a transparent double for B.
         tolerance_torque: maximum difference in measured torques, in Nm or N; exit with 1 if
             exceeded.
         tolerance_angle: maximum difference in joint values, in degrees or mm; exit with 1 if
             exceeded.
-        quiet: print no table and no progress bar.
     """
 
     a: Annotated[Path, positional("A.mcap")]
@@ -75,21 +75,23 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     more: Annotated[list[Path], positional("MORE.mcap")] = []
     each: bool = False
     against_model: bool = False
-    robot: Flag = None
     offset: Annotated[
         float | Literal["auto"], expecting("a number of seconds, or auto"), Option("S|auto")
     ] = 0.0
     plot: Figure | None = None
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
     render: Annotated[Path | None, ending(*VIDEO_FORMATS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
-    quiet: bool = False
 
     @model_validator(mode="after")
     def _check_second(self) -> Self:
+        if self.baseline is not None:
+            others = ("each", "against_model", "offset", "plot", "csv", "render")
+            tolerances = ("tolerance_torque", "tolerance_angle")
+            self.refuse((*others, *tolerances), " cannot be combined with --baseline")
+            return self
+        self.refuse(_TREND_OPTIONS, " needs --baseline")
         if self.b is not None and self.against_model and not self.each:
             expected = "one recording, or the option --each"
             raise ValueError(f"--against-model: found a second recording; expected {expected}")
@@ -112,8 +114,12 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
 def run(options: CompareOptions) -> int:
     """Compares recordings.
 
-    Returns 0, 1 if a tolerance is exceeded, or 2 if a recording cannot be compared.
+    Returns 0, 1 if a tolerance is exceeded, or 2 if a recording cannot be compared. For trends, see
+    `run_trend`.
     """
+    if options.baseline is not None:
+        recordings = [path for path in (options.a, options.b, *options.more) if path is not None]
+        return run_trend(options, options.baseline, recordings)
     return _compare_many(options) if options.is_batch else _compare_two(options)
 
 
@@ -290,7 +296,10 @@ def _one_run(run: RunLog, options: CompareOptions) -> _Compared:
     pair = pair_with_commands(run, name)
     if explainer is None:
         return pair, None, []
-    found, about = explainer.of_one(run, name)
+    try:
+        found, about = explainer.of_one(run, name)
+    except UsageError as error:
+        return pair, None, [f"no explanation: {error}"]
     return pair, differing(pair, found), about
 
 
@@ -310,15 +319,11 @@ def _page(
     pair: Pair, output: Path, explanations: Sequence[Explanation], options: CompareOptions
 ) -> None:
     from ..study.compare import compare_scene
-    from ..viewer.player.capture import Mark
+    from ..study.explanation_marks import marks_of_explanations
     from ..viewer.player.page import export_html
 
     last = float(pair.times[-1] - pair.times[0])
-    marks = []
-    for each in explanations:
-        begin = 0.0 if each.from_start else each.begin - float(pair.times[0])
-        end = last if each.end is None else each.end - float(pair.times[0])
-        marks.append(Mark(begin, end, f"{each.joint}: {each.short}", "fault"))
+    marks = marks_of_explanations(pair, explanations)
     compared = pair.names if options.b is None else (str(options.a), str(options.b))
     with progress_bar("collecting", quiet=options.quiet) as update:
         export_html(

@@ -98,7 +98,7 @@ def report_rows(
     2 if a recording failed, otherwise 0.
     """
     if to is not None:
-        _write(rows, to)
+        write_rows(rows, to)
     if options.as_json:
         print_json([{"recording": str(path), **row} for path, row in rows])
     elif not quiet:
@@ -111,7 +111,8 @@ def report_rows(
     return 2 if errors else 0
 
 
-def _write(rows: Rows, path: Path) -> None:
+def write_rows(rows: Rows, path: Path) -> None:
+    """Writes a table with one row per recording; raises UsageError if it cannot be written."""
     outcomes = dict.fromkeys(key for _, row in rows for key in row if key != "error")
     with writing(), path.open("w", newline="", encoding="utf-8") as file:
         table = csv.DictWriter(file, ["recording", *outcomes, "error"], restval="")

@@ -54,6 +54,13 @@ class Evidence:
         """Number of rows that were used."""
         return int(np.isfinite(self.before).sum())
 
+    @property
+    def rows_text(self) -> str:
+        """The number of rows that were used, and why others were left out, as text."""
+        text = f"{self.used} of {len(self.times)} rows"
+        reasons = ", ".join(f"{count} {reason}" for reason, count in self.left_out.items())
+        return f"{text}; left out: {reasons}" if reasons else text
+
     def fit(self, begin: float, end: float | None) -> tuple[Array, Array]:
         """Returns the explained torque over the quantity, as medians of bins, shape (B,) each.
 

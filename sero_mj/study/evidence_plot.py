@@ -55,7 +55,7 @@ def _draw_over_time(panel: Axes, explanation: Explanation) -> None:
     if explanation.next:  # extends over both panels
         panel.text(0.0, 1.02, f"next: {explanation.next}", transform=panel.transAxes, fontsize=5.5,
                    va="bottom", color=GREY, in_layout=False)  # fmt: skip
-    panel.set_xlabel(f"time, s; {_rows(explanation)}", labelpad=2.0)
+    panel.set_xlabel(f"time, s; {evidence.rows_text}", labelpad=2.0)
     panel.set_ylabel(f"{evidence.side} side, {evidence.torque_unit}")
     panel.legend(loc="best", fontsize=5.5, frameon=False, ncols=2, handlelength=1.2)
 
@@ -71,14 +71,6 @@ def _draw_over_quantity(panel: Axes, explanation: Explanation) -> None:
     panel.set_title(MEANINGS[evidence.side], fontsize=5.5, loc="right", pad=_PAD, color=INK)
     panel.set_xlabel(f"{evidence.quantity}, {evidence.unit}", labelpad=2.0)
     panel.margins(x=_MARGIN)
-
-
-def _rows(explanation: Explanation) -> str:
-    evidence = explanation.evidence
-    assert evidence is not None
-    text = f"{evidence.used} of {len(evidence.times)} rows"
-    reasons = ", ".join(f"{count} {reason}" for reason, count in evidence.left_out.items())
-    return f"{text}; left out: {reasons}" if reasons else text
 
 
 def with_evidence(explanations: Sequence[Explanation]) -> list[Explanation]:

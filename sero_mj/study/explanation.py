@@ -244,6 +244,39 @@ def _about(error: float) -> str:
     return f" ± {error:.1g}" if np.isfinite(error) and error > 0 else ""
 
 
+@dataclass(frozen=True)
+class Parameter:
+    """A parameter of a robot that was estimated from a recording.
+
+    Attributes:
+        joint: name of the joint, or `payload`.
+        name: name of the parameter, such as `coulomb_friction`.
+        unit: SI unit.
+        value: estimate; None if the recording does not determine it.
+        error: standard error of the estimate; None if unknown.
+        reason: reason why there is no estimate.
+        min_change: smallest change that matters.
+    """
+
+    joint: str
+    name: str
+    unit: str
+    value: float | None
+    error: float | None = None
+    reason: str | None = None
+    min_change: float = 0.0
+
+    @property
+    def key(self) -> str:
+        """The name with the joint, such as `A4.coulomb_friction`."""
+        return f"{self.joint}.{self.name}"
+
+    @property
+    def label(self) -> str:
+        """The name as text, such as `Coulomb friction`."""
+        return self.name.replace("_", " ").replace("coulomb", "Coulomb")
+
+
 class Explainer(ABC):
     """An object, created without arguments, that finds the causes of torque differences."""
 
@@ -276,6 +309,14 @@ class Explainer(ABC):
         Raises:
             UsageError: the robot has no model, or the run has no torques.
         """
+
+    def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
+        """Estimates parameters of each joint, such as friction. The order is always the same.
+
+        Raises:
+            UsageError: the run is too short, or contains too little motion.
+        """
+        return []
 
 
 def by_place(found: Sequence[Explanation], joints: Sequence[str]) -> list[Explanation]:

@@ -5,11 +5,10 @@ from __future__ import annotations
 import json
 import logging
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree as xml
 
 from ..base.errors import SeroError, UsageError
 from ..data.record.replay import Replay
@@ -24,6 +23,7 @@ from ..simulate.simulation import Simulation
 from ..viewer.player.capture import Mark, capture
 from ..viewer.player.page import write_page
 from .figure import NO_MATPLOTLIB
+from .junit import TestCase, write_junit
 from .plot import plot_run, spans_of
 
 log = logging.getLogger(__name__)
@@ -53,8 +53,9 @@ def write_report(
     try:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / JSON).write_text(json.dumps(found, indent=2) + "\n", encoding="utf-8")
-        tree = _junit(simulation, outcomes, found, error)
-        tree.write(folder / JUNIT, encoding="utf-8", xml_declaration=True)
+        name = simulation.scenario.name
+        cases = list(_cases(name, outcomes, error))
+        write_junit(folder / JUNIT, name, cases, seconds=found.get("took", 0.0))
     except OSError as problem:
         raise UsageError(f"cannot write {problem.filename}: {problem.strerror}") from problem
     seconds = max(simulation.time, 1e-3)
@@ -72,37 +73,14 @@ def write_report(
     )
 
 
-def _junit(
-    simulation: Simulation,
-    outcomes: list[Outcome],
-    found: dict[str, Any],
-    error: BaseException | None,
-) -> xml.ElementTree[xml.Element]:
-    name = simulation.scenario.name
-    failures = sum(not outcome.holds for outcome in outcomes)
-    cases = len(outcomes) + (error is not None)
-    counts = {"tests": cases, "failures": failures, "errors": int(error is not None)}
-    suite = xml.Element(
-        "testsuite",
-        {"name": name, "time": f"{found.get('took', 0.0):.3f}"}
-        | {key: str(count) for key, count in counts.items()},
-    )
+def _cases(
+    name: str, outcomes: Iterable[Outcome], error: BaseException | None
+) -> Iterator[TestCase]:
     for outcome in outcomes:
-        case = xml.SubElement(suite, "testcase", classname=name, name=outcome.name)
-        if not outcome.holds:
-            text = _printable(outcome.text)
-            xml.SubElement(case, "failure", message=text).text = f"{text}; see {PAGE}"
+        failure = "" if outcome.holds else outcome.text
+        yield TestCase(name, outcome.name, failure=failure, details=f"see {PAGE}")
     if error is not None:
-        case = xml.SubElement(suite, "testcase", classname=name, name="run")
-        xml.SubElement(case, "error", message=_printable(str(error)))
-    suites = xml.Element("testsuites", {key: str(count) for key, count in counts.items()})
-    suites.append(suite)
-    return xml.ElementTree(suites)
-
-
-def _printable(text: str) -> str:
-    # XML cannot contain control characters.
-    return "".join(each if each.isprintable() or each == "\n" else "?" for each in text)
+        yield TestCase(name, "run", error=str(error))
 
 
 def marks_of(scene: Scene, begin: float = 0.0) -> list[Mark]:

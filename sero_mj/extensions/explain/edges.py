@@ -11,6 +11,7 @@ import numpy as np
 from ...base.frames import Array
 
 _erf = np.vectorize(erf)
+_REACH = 6.0  # standard deviations of the filter beyond which a step is complete
 _GRID, _ROUNDS = 18, 3  # edges of the first pairs that are tried, and rounds of refinement
 
 
@@ -57,25 +58,49 @@ class Edges:
 
     def __init__(self, rows: int, sharpness: float) -> None:
         self.rows, self.end = rows, 2 * rows - 1
-        distance = np.arange(rows)[None, :] - 0.5 * np.arange(2 * rows)[:, None]
-        self._on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
-        self._on[0], self._on[-1] = 1.0, 0.0
+        edges = np.arange(2 * rows)
+        self._first = -(-edges // 2)  # first row after each edge
+        reach = int(np.ceil(_REACH / sharpness))
+        near = self._first[:, None] + np.arange(-reach, reach + 1)
+        distance = near - 0.5 * edges[:, None]
+        on = 0.5 * (1.0 + _erf(distance * sharpness / np.sqrt(2.0)))
+        on[0], on[-1] = distance[0] >= 0.0, distance[-1] >= 0.0
+        inside = (near >= 0) & (near < rows)
+        self._near, self._is_inside = np.where(inside, near, 0), inside
+        self._on, self._is_after = np.where(inside, on, 0.0), inside & (distance >= 0.0)
 
     def share(self, first: int, last: int) -> Array:
         # The filtered share of an effect between two edges, (K,).
-        return np.asarray(self._on[first] - self._on[last])
+        return np.asarray(self._step(first) - self._step(last))
+
+    def _step(self, edge: int) -> Array:
+        step = (np.arange(self.rows) >= self._first[edge]).astype(np.float64)
+        np.add.at(step, self._near[edge], self._on[edge] - self._is_after[edge])
+        return np.asarray(step)
+
+    def _after(self, values: Array, on: Array) -> Array:
+        # Sums of values (K, ...) with the weights after each edge, (E, ...). The weights are 0
+        # before an edge and 1 after it, and differ from these only in rows near the edge, `on`.
+        flat = values.reshape(len(values), -1)
+        sums = np.zeros((self.rows + 1, flat.shape[1]))
+        sums[:-1] = np.cumsum(flat[::-1], axis=0)[::-1]
+        found = sums[self._first]
+        for column, more in zip(self._near.T, (on - self._is_after).T, strict=True):
+            found += more[:, None] * flat[column]
+        return np.asarray(found.reshape(-1, *values.shape[1:]))
 
     def sums(self, X: Array, y: Array) -> Sums:
         # Normal equations between any two edges, for columns X (c, K, p) and data y (c, K).
-        K, p = X.shape[1:]
-        squares = np.einsum("ckp,ckq->kpq", X, X).reshape(K, p * p)
+        squares = np.einsum("ckp,ckq->kpq", X, X)
         products = np.einsum("ckp,ck->kp", X, y)
         known = (X != 0.0).any(axis=(0, 2)).astype(np.float64)
+        on = self._on
         # The share before the last edge is 1 minus the share after it.
-        begun, ended = self._on**2 @ squares, (1.0 - (1.0 - self._on) ** 2) @ squares
+        before = np.where(self._is_inside, 1.0 - (1.0 - on) ** 2, 0.0)
         return Sums(
-            begun.reshape(-1, p, p), ended.reshape(-1, p, p), self._on @ products, self._on @ known
-        )
+            self._after(squares, on**2), self._after(squares, before),
+            self._after(products, on), self._after(known, on),
+        )  # fmt: skip
 
     def sums_of_pair(self, X: Array, y: Array, pair: tuple[int, int]) -> SumsOfPair:
         share = self.share(*pair)
@@ -86,7 +111,7 @@ class Edges:
 
     def weighted(self, values: Array) -> Array:
         # Sums of values (K, ...) after each edge, (E, ...).
-        return np.tensordot(self._on, values, axes=1)
+        return self._after(values, self._on)
 
     def best(self, scores: Any) -> tuple[int, int, float]:
         # Returns the best edges and their score; `scores` takes arrays of edges. A temporary effect

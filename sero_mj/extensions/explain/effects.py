@@ -83,12 +83,14 @@ class JointEffect(Effect):
         columns: for each parameter, the change of the residuals of link and motor per unit of the
             parameter, shape (K, n) each.
         least: minimum magnitude of the first parameter of each joint, shape (n,); None for 0.
+        lowest: minimum of the first parameter of each joint, shape (n,); None for no minimum.
         variants: function that converts the fitted first parameter to effects with other values to
             try, for effects that are not linear in their value, such as delays; None for others.
     """
 
     columns: Sequence[tuple[Array, Array]] = ()
     least: Array | None = None
+    lowest: Array | None = None
     variants: Callable[[float], Sequence[JointEffect]] | None = None
 
 
@@ -152,7 +154,7 @@ def _of_motors(found: TorqueResiduals, true: Array) -> list[JointEffect]:
         inertia = [(zero, found.motion.accelerations)]
         effects.append(JointEffect(
             "motor inertia", "drive", ones, _scaled(1.0, "kg m2"), is_constant=True,
-            columns=inertia, least=_MIN_INERTIA * declared,
+            columns=inertia, least=_MIN_INERTIA * declared, lowest=-declared,
         ))  # fmt: skip
     if found.torque_control:
         return effects

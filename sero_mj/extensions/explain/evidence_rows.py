@@ -99,8 +99,8 @@ def rows_line(found: TorqueResiduals) -> str:
     texts = []
     for side, residuals in enumerate((found.link, found.motor)):
         unknown: Bools = ~np.isfinite(residuals)
-        if unknown.all():
-            continue
+        if side == 1 and not np.isfinite(found.torques.commanded).any():
+            continue  # not recorded
         reasons = {reason: rows[side] for reason, rows in found.left_out.items()}
         counts = count_left_out(unknown, reasons)
         shares = [f"{reason} {_percent(count, unknown.size)}" for reason, count in counts.items()]

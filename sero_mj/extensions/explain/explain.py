@@ -52,16 +52,20 @@ from ...study.explanation import (
     OF_ONE_RUN,
     Explainer,
     Explanation,
+    Parameter,
     Part,
     by_place,
 )
 from .direct_faults import noisy_sensors, stuck_joints, stuck_sensors, wrong_drives
 from .evidence_rows import merged, rows_line
 from .explain_search import Search
+from .identify import identify, parameters
 from .log_faults import log_faults
 from .next_motion import with_next
 from .torque_residuals import TorqueResiduals, pair_with_model, torque_residuals
+from .usable_rows import usable
 
+_OF_OWN = 0.1  # share of the squared residuals of a run that a fault of this run leaves at most
 # A fault of the second run resembles one of these faults of the first run with opposite sign.
 _APPROXIMATE = ("gain", "bias", "friction", "unexplained")
 _MIN_WRONG, _MIN_WRONG_FAST = 0.2, 0.03  # s, minimum durations
@@ -77,9 +81,11 @@ _MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
 def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -> list[Explanation]:
     """Diagnoses a robot in a run, see `explain`; raises UsageError for too little data.
 
-    `found` contains the residuals of the robot if they are already known.
+    `found` contains the residuals of the robot if they are already known; `log` is `usable` then.
     """
-    found = found or torque_residuals(log, robot)
+    if found is None:
+        log, _ = usable(log, robot)
+        found = torque_residuals(log, robot)
     faults, log = log_faults(log, robot, found)
     if faults:
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
@@ -128,23 +134,65 @@ def explain(found: TorqueResiduals, ending: TorqueResiduals | None = None) -> li
 def explain_pair(a: TorqueResiduals, b: TorqueResiduals) -> list[Explanation]:
     """Explains the difference of two runs at the same times; sizes are first run minus second run.
 
-    For gains, only the difference is observable: it is 0.2 if one sensor is correct and the other
-    has a gain of 0.8. The faults in `OF_ONE_RUN` are attributed to one run. Faults of the second
-    run are searched in the negative difference, and replace approximate explanations.
+    The faults in `OF_ONE_RUN` are attributed to one run. Other faults are attributed to a run if
+    they explain its own residuals, but not those of the other run. Otherwise, only the difference
+    is known: it is 0.2 if the gains of two sensors are 0.8 and 0.6. Faults of the second run are
+    searched in the negative difference, and replace approximate explanations.
     """
     of_a, of_b = (_outside_of_fits(each, noisy_sensors(each, None)) for each in (a, b))
-    first = _explain_first(a, b, of_a, of_b)
-    second = [
+    first, second = _explain_first(a, b, of_a, of_b), _explain_first(b, a, of_b, of_a)
+    first, of_second = _by_run(a, b, first, second)
+    second = of_second + [
         replace(each, is_second=True)
-        for each in _explain_first(b, a, of_b, of_a)
+        for each in second
         if each.kind in OF_ONE_RUN and not _is_of_first(a, b, each, first)
     ]
     remaining = [each for each in first if not any(_replaces(other, each) for other in second)]
-    joints = a.robot.names
-    return sorted(
-        [*remaining, *second],
-        key=lambda each: joints.index(each.joint) if each.joint in joints else -1,
-    )
+    return _of_many_joints([*remaining, *second], a.robot.names)
+
+
+def _by_run(
+    a: TorqueResiduals,
+    b: TorqueResiduals,
+    first: Sequence[Explanation],
+    second: Sequence[Explanation],
+) -> tuple[list[Explanation], list[Explanation]]:
+    # Separates the faults of run `a` and of both from those of run `b`. `first` explains the
+    # difference a - b, and `second` explains b - a in the motion of `b`.
+    of_second = [
+        replace(_of_one_run(each), is_second=True) for each in second if _explains_own(b, each)
+    ]
+    same = {(each.joint, each.kind, each.part) for each in of_second}
+    known = {joint for each in of_second for joint in each.joints}
+    of_first = [
+        _of_one_run(each) if _explains_own(a, each) else each
+        for each in first
+        if (each.joint, each.kind, each.part) not in same
+        and (each.kind != "unexplained" or each.joint not in known)
+    ]
+    return of_first, of_second
+
+
+def _explains_own(run: TorqueResiduals, fault: Explanation) -> bool:
+    # Whether a fault of the difference of two runs explains the residuals of one of them.
+    evidence = fault.evidence
+    if evidence is None or fault.kind in (*OF_ONE_RUN, "unexplained"):
+        return False
+    if not run.has_model if evidence.side == "link" else run.undeclared:
+        return False
+    own = (run.link if evidence.side == "link" else run.motor)[
+        :, run.robot.names.index(evidence.joint)
+    ]
+    effect = evidence.before - evidence.after
+    before, after = np.nansum(own**2), np.nansum((own - effect) ** 2)
+    return bool(after < _OF_OWN * before)
+
+
+def _of_one_run(fault: Explanation) -> Explanation:
+    # The other run is correct, so that the gain is known.
+    if not fault.is_difference:
+        return fault
+    return replace(fault, size=1.0 + fault.size, is_difference=False)
 
 
 def _is_of_first(
@@ -196,6 +244,7 @@ def explain_runs(
     Raises:
         UsageError: a run has too little data or no torques.
     """
+    (a, _), (b, _) = usable(a, robots[0]), usable(b, robots[1])
     faults, first, second = _both(a, b, robots, offset)
     return with_next([*faults, *explain_pair(first, second)], first)
 
@@ -203,7 +252,7 @@ def explain_runs(
 def _both(
     a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
 ) -> tuple[list[Explanation], TorqueResiduals, TorqueResiduals]:
-    # Faults of both logs, and the residuals of the corrected logs at the same times.
+    # Faults of both usable logs, and the residuals of the corrected logs at the same times.
     first, second = torque_residuals(a, robots[0]), torque_residuals(b, robots[1])
     faults, a = log_faults(a, robots[0], first)
     faults_of_b, b = log_faults(b, robots[1], second)
@@ -223,12 +272,12 @@ def _difference(a: TorqueResiduals, b: TorqueResiduals) -> TorqueResiduals:
 def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -> list[Explanation]:
     # Equal delays of many joints are one delay of the log. Many joints with the same other fault
     # probably have a common cause that is not known.
-    groups: dict[tuple[str, str], list[Explanation]] = {}
+    groups: dict[tuple[str, str, bool], list[Explanation]] = {}
     for each in explanations:
         if each.joint in names and each.kind in ("gain", "bias", "delay", "friction drift"):
-            groups.setdefault((each.kind, each.part), []).append(each)
+            groups.setdefault((each.kind, each.part, each.is_second), []).append(each)
     found = list(explanations)
-    for (kind, part), group in groups.items():
+    for (kind, part, _), group in groups.items():
         if len({each.joint for each in group}) < _MANY:
             continue
         sizes = np.array([each.size for each in group])
@@ -308,19 +357,27 @@ class TorqueExplainer(Explainer):
     def of_two(
         self, a: RunLog, b: RunLog, robots: tuple[str, str], offset: float
     ) -> tuple[list[Explanation], list[str]]:
+        (a, notes), (b, more) = usable(a, robots[0]), usable(b, robots[1])
         faults, first, second = _both(a, b, robots, offset)
         found = with_next([*faults, *explain_pair(first, second)], first)
-        return found, [rows_line(_difference(first, second))]
+        notes = [*(f"{a.name}: {note}" for note in notes), *(f"{b.name}: {note}" for note in more)]
+        return found, [*notes, rows_line(_difference(first, second))]
 
     def of_one(self, run: RunLog, robot: str) -> tuple[list[Explanation], list[str]]:
+        run, notes = usable(run, robot)
         found = torque_residuals(run, robot)
-        return explain_run(run, robot, found), _about_model(found)
+        return explain_run(run, robot, found), [*notes, *_about_model(found)]
 
     def with_model(self, run: RunLog, robot: str) -> tuple[Pair, list[Explanation], list[str]]:
+        run, notes = usable(run, robot)
         found = torque_residuals(run, robot)
         explanations = explain_run(run, robot, replace(found, no_model=""))
         pair = pair_with_model(run, found)
-        return pair, explanations, [_first_difference(pair, explanations), *_about_model(found)]
+        first = _first_difference(pair, found, explanations)
+        return pair, explanations, [first, *notes, *_about_model(found)]
+
+    def parameters(self, run: RunLog, robot: str) -> list[Parameter]:
+        return parameters(identify(run, robot))
 
 
 def _about_model(found: TorqueResiduals) -> list[str]:
@@ -340,7 +397,11 @@ def _about_model(found: TorqueResiduals) -> list[str]:
     return lines
 
 
-def _first_difference(pair: Pair, explanations: Sequence[Explanation]) -> str:
+def _first_difference(
+    pair: Pair, found: TorqueResiduals, explanations: Sequence[Explanation]
+) -> str:
+    if not (np.isfinite(found.link).any() or np.isfinite(found.motor).any()):
+        return f"{pair.robot.name} cannot be compared with its model"
     if not explanations:
         return f"{pair.robot.name} agrees with its model"
     first = min(explanations, key=lambda each: (not each.from_start, each.begin))

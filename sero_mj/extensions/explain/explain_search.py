@@ -38,6 +38,9 @@ _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are
 _MIN_CONFIDENCE = 0.5  # of a kind; below, torques are unexplained
 _SIDES: tuple[Part, Part] = ("joint", "drive")  # parts of torques that are unexplained
 _UNDECLARED = 0.8  # highest confidence of a drive fault from the start if friction is undeclared
+# Gain below which a torque hardly depends on what it should follow, and the highest confidence of
+# this gain. A controller that compensates a large disturbance of its drive causes the same torques.
+_NO_GAIN, _OF_NO_GAIN = 0.1, 0.8
 _SIMILAR = 6.0  # difference of scores below which the odds are less than 20
 _MIN_SCORE = 12.0  # minimum improvement over no explanation
 _ROWS_PER_FACT = 2.0  # low-pass filtered rows are correlated
@@ -107,7 +110,9 @@ class Search:
             sides = slice(None) if each.part == "torque sensor" else 1
             residuals[sides, rows, joint] = np.nan
         still = np.maximum(_spread(residuals), _FLOOR * found.scale)
-        moving = np.hypot(_FLOOR_SHARE * found.torques.model, _FLOOR_TIME * found.torques.rates)
+        torques = found.torques
+        exerted = np.where(np.isfinite(torques.model), torques.model, torques.measured)
+        moving = np.hypot(_FLOOR_SHARE * exerted, _FLOOR_TIME * torques.rates)
         self.sigma = np.hypot(still[:, None], np.nan_to_num(moving))  # (2, K, n)
         for each in noisy:  # noise is not evidence for other faults
             joint, rows = found.robot.names.index(each.joint), found.times >= each.begin
@@ -289,8 +294,9 @@ class Search:
         H, g, _ = sums.between(first, last)
         parameters, errors = _solved(H, g, inverse, total, int(count))
         least = 0.0 if candidate.least is None else candidate.least[joint]
-        is_small = abs(parameters[0]) < least
-        if is_small or not candidate.allowed[0] < parameters[0] < candidate.allowed[1]:
+        lowest = -np.inf if candidate.lowest is None else candidate.lowest[joint]
+        low, high = max(lowest, candidate.allowed[0]), candidate.allowed[1]
+        if abs(parameters[0]) < least or not low < parameters[0] < high:
             return None
         whole = np.zeros((*self.y.shape, len(priors)))
         whole[:, :, joint] = X * self.edges.share(first, last)[:, None]
@@ -564,6 +570,8 @@ class Search:
             confidence = limited(confidence, self._unexplained_share(fit), self._ratio(fit))
             if self.undeclared and fit.edges == (0, self.edges.end) and not fit.columns[0].any():
                 confidence = min(confidence, _UNDECLARED)
+            if kind == "gain" and abs(size.size) < _NO_GAIN:
+                confidence = min(confidence, _OF_NO_GAIN)
         torques = (fit.columns @ fit.parameters) * self.sigma
         evidence = self._evidence(fit, torques)
         if fit.effect is None or confidence < _MIN_CONFIDENCE:

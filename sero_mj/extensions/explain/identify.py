@@ -32,10 +32,11 @@ import numpy as np
 
 from ...base.errors import Problem, UsageError
 from ...base.frames import Array
-from ...base.reduction import rms
+from ...base.reduction import rms, rms_with_error
 from ...robots.declared.robot import SerialRobot
 from ...simulate.runs.run_log import RunLog
 from ...study.compare import one_unit, unit_of
+from ...study.explanation import Parameter
 from ...study.figure import BLUE, MIN_SHARE, ORANGE, Figure, check_suffix, save_figures, styled
 from .regression import Estimate, condition_number, regression
 from .torque_residuals import TorqueResiduals, torque_residuals
@@ -50,6 +51,9 @@ _INERTIA = 0.3  # kg m2, prior standard deviation of the payload's inertia
 # speed and filtering.
 _FLOOR = 2e-5
 _UNITS = ("N", "N s/m", "kg"), ("Nm", "Nm s/rad", "kg m2")  # prismatic, revolute
+# Smallest changes that matter in trends: shares of the torque limit for other torques, and for
+# friction and inertia at 1 rad/s and 1 rad/s2; and of a payload, kg.
+_OF_TORQUES, _OF_DRIVES, _OF_LOAD = 1e-3, 2e-4, 0.02
 _MIN_SIGNIFICANCE = 3.0  # standard errors; minimum significance of a payload
 
 
@@ -260,6 +264,38 @@ def figures(found: Identified) -> dict[str, tuple[Estimate, str]]:
     named["payload.mass"] = found.mass, "kg"
     center = dict(zip("xyz", found.center, strict=True))
     return named | {f"payload.{axis}": (estimate, "m") for axis, estimate in center.items()}
+
+
+def parameters(found: Identified) -> list[Parameter]:
+    """Returns the estimates of all joints and of the payload's mass, for trends.
+
+    The parameter `gravity_error` is the root mean square of measured minus model torques that
+    neither a payload nor offsets of the sensors explain.
+    """
+    limits = dict(zip(found.robot.names, found.robot.torque_bounds, strict=True))
+    estimates = {
+        key: pair for key, pair in figures(found).items() if not key.startswith("payload.")
+    }
+    unknown = found.mass.reason if np.isinf(found.condition) else None
+    for k, (joint, left) in enumerate(
+        zip(found.robot.names, (found.link - found.link_fit).T, strict=True)
+    ):
+        value, error = rms_with_error(left)
+        known = np.isfinite(value)
+        found_error = Estimate(value if known else None, error if known else None, unknown)
+        estimates[f"{joint}.gravity_error"] = (
+            found_error,
+            _UNITS[found.robot.types[k] == "revolute"][0],
+        )
+    listed = []
+    for key, (each, unit) in estimates.items():
+        joint, _, name = key.rpartition(".")
+        share = _OF_TORQUES if name in ("torque_offset", "gravity_error") else _OF_DRIVES
+        least = share * limits[joint] if np.isfinite(limits[joint]) else 0.0
+        listed.append(Parameter(joint, name, unit, each.value, each.error, each.reason, least))
+    mass = found.mass
+    load = Parameter("payload", "mass", "kg", mass.value, mass.error, mass.reason, _OF_LOAD)
+    return [*listed, load]
 
 
 def as_json(found: Identified) -> dict[str, Any]:

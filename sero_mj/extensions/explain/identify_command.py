@@ -13,6 +13,7 @@ from pydantic import model_validator
 from ...base.options import Option, ending, positional
 from ...cli.arguments import command, print_json, print_table, writing
 from ...cli.shared_options import EngineOptions, Figure, Flag, JsonOptions, PartOptions
+from .design_command import DESIGN, DesignOptions, design
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -22,10 +23,10 @@ if TYPE_CHECKING:
 
 _HELP = """\
 examples:
-  sero-mj identify run.mcap --robot lwr
   sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines for a robot file
   sero-mj identify runs/*.mcap --table found.csv           agreement of several recordings
   sero-mj identify run.mcap --links --validate other.mcap -o found.toml   whole robot
+  sero-mj identify --design --robot lwr -o excite.csv      a motion that excites all parameters
 
 The command estimates friction and motor inertia from commanded minus measured torque, and payload
 and sensor offsets from measured minus model torque, by linear regression with standard errors.
@@ -36,13 +37,20 @@ Parameters that the motion does not excite are reported as not identifiable. All
 back and forth, at low and high speed, and the wrist far enough to change the direction of gravity.
 Several recordings are summarized by median, extremes and the median of the standard errors. They
 are analyzed in parallel by local processes or by the workers of a Dask cluster.
+
+With --design, the command writes a motion that excites all parameters, within the limits of the
+robot and without collisions, as a table for `sero-mj send --play` and for targets of scenarios.
 """
 GROUP, ORDER = "analyze", 44
-ENDINGS = (".toml", ".urdf", ".xml")
+_OF_RECORDINGS = (
+    "recordings", "source", "columns", "begin", "end", "table", "jobs", "engine", "scheduler",
+    "ship", "links", "validate_with",
+)  # fmt: skip
+_OF_ROBOTS = (".toml", ".urdf", ".xml")
 _BATCH_OPTIONS = ("recordings", "jobs", "engine", "scheduler", "ship", "table")
 
 
-class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
+class IdentifyOptions(PartOptions, JsonOptions, EngineOptions, DesignOptions):
     """Estimate friction, payload and torque offsets of a robot.
 
     Attributes:
@@ -50,22 +58,37 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
         robot: robot to identify (default: the only robot).
         links: identify all links instead of a payload.
         validate_with: another recording, whose torques are predicted (needs --links).
-        output: file for the estimates as lines of a robot file. With --links, a robot file (.toml),
-            URDF, or MJCF (.xml).
-        plot: file for a figure of the fit: .png, .pdf or .svg.
+        output: file for the estimates as lines of a robot file (.toml), or for a designed motion
+            (.csv). With --links, a robot file (.toml), URDF, or MJCF (.xml).
+        plot: file for a figure of the fit or of the designed motion: .png, .pdf or .svg.
         table: write one row per recording to a table.
         as_json: print the estimates as JSON.
         quiet: print no table.
     """
 
-    recordings: Annotated[list[Path], positional("RUN.mcap")]
+    recordings: Annotated[list[Path], positional("RUN.mcap")] = []
     robot: Flag = None
     links: bool = False
     validate_with: Annotated[Path | None, Option("RUN.mcap", ("--validate",))] = None
-    output: Annotated[Path | None, ending(*ENDINGS), Option("OUT.toml", ("-o", "--output"))] = None
+    output: Annotated[
+        Path | None, ending(*_OF_ROBOTS, ".csv"), Option("OUT", ("-o", "--output"))
+    ] = None
     plot: Figure | None = None
     table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     quiet: bool = False
+
+    @model_validator(mode="after")
+    def _check_design(self) -> Self:
+        if self.design:
+            self.refuse(_OF_RECORDINGS, " cannot be combined with --design")
+        elif not self.recordings:
+            raise ValueError("expected a recording, or --design")
+        self.refuse(() if self.design else DESIGN, " needs --design")
+        needed = [".csv"] if self.design else _OF_ROBOTS if self.links else [".toml"]
+        if self.output is not None and self.output.suffix.lower() not in needed:
+            expected = f"expected a name that ends in {', '.join(needed)}"
+            raise ValueError(f"--output: found '{self.output}'; {expected}")
+        return self
 
     @model_validator(mode="after")
     def _check_number(self) -> Self:
@@ -73,12 +96,8 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
             self.refuse(
                 ("plot", "output", "validate_with"), " needs a single recording without --table"
             )
-        if self.links:
-            self.refuse(("plot",), " is not available with --links")
-        else:
-            self.refuse(("validate_with",), " needs --links")
-            if self.output is not None and self.output.suffix.lower() != ".toml":
-                raise ValueError(f"--output: found '{self.output}'; expected .toml without --links")
+        self.refuse(("plot",) if self.links else (), " is not available with --links")
+        self.refuse(() if self.links else ("validate_with",), " needs --links")
         return self
 
     @property
@@ -89,6 +108,11 @@ class IdentifyOptions(PartOptions, JsonOptions, EngineOptions):
 
 def run(options: IdentifyOptions) -> int:
     """Identifies a robot and returns the exit status."""
+    if options.design:
+        return design(
+            options, options.scene, options.robot, output=options.output, plot=options.plot,
+            as_json=options.as_json, quiet=options.quiet,
+        )  # fmt: skip
     if options.is_batch:
         return _identify_many(options)
     from ...study.align import choose_robot

@@ -112,9 +112,10 @@ def _fields(explanation: Explanation, found: TorqueResiduals) -> _Fields:
 
 def _mover(found: TorqueResiduals, joint: int) -> int:
     # The joint whose angle changes the gravity torque of another joint most.
-    pose = np.nanmean(found.motion.links[0], axis=0, keepdims=True)
-    if not np.isfinite(found.link).any() or not np.isfinite(pose).all():
+    known = np.isfinite(found.motion.links[0]).all(axis=1)
+    if not np.isfinite(found.link).any() or not known.any():
         return joint
+    pose = found.motion.links[0][known].mean(axis=0, keepdims=True)
     still = np.zeros_like(pose)
     changes = np.abs(torques_by_angle(found.robot, pose, still, still)[0, joint])
     shares = np.array([_amount(found, k) for k in range(found.robot.n)]) * changes

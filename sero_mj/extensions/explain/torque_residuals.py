@@ -258,8 +258,8 @@ def torque_residuals(
     sign[np.abs(low_pass.fully(v)) < SLOW] = 0.0
     signs = low_pass(sign)
     with np.errstate(invalid="ignore"):
-        slow = ~(speed > SLOW)
-        reverses = slow | ~(np.abs(signs) > _REVERSING)
+        slow = speed <= SLOW  # not where the velocity is unknown
+        reverses = ~(speed > SLOW) | ~(np.abs(signs) > _REVERSING)
     acceleration = low_pass(a)
     if robot.elastic_joints:  # the motor differs from the link by the deflection of the spring
         acceleration = acceleration + low_pass.second(measured) / dynamics.joint_stiffness
@@ -361,8 +361,10 @@ def _checked(log: RunLog, name: str) -> SerialRobot:
 def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
     # Signals at equidistant times, (T, n) each, with NaN in gaps.
     times = log.times
-    if len(times) < 4 or log.timestep <= 0.0:
-        raise UsageError(f"{log.name} has {len(times)} rows of '{name}'; expected 4 or more")
+    distinct = len(np.unique(times))
+    if distinct < 4 or log.timestep <= 0.0:
+        found = f"{log.name} has {distinct} different times of '{name}'"
+        raise UsageError(f"{found}; expected 4 or more")
     n = log.robots[name].n
     signals = {"q": log.of(name, "joint_angles"), "measured": log.of(name, "torques")}
     missing = np.full((len(times), n), np.nan)

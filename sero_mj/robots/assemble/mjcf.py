@@ -51,7 +51,7 @@ from .robot_dynamics import RobotDynamics, declared_inertia
 OBJECT_GROUP, ROBOT_GROUP = 0, 1
 SKY = "sky"  # name of the sky texture
 _DIRECTIONAL = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
-_KEY_LIGHT = np.array([1.5, -1.5, 4.0])  # position relative to the middle of the robots, m
+_KEY_LIGHT = -4.0 * np.array(KEY_DIRECTION)  # position relative to the middle of the robots, m
 _TILE = 0.25  # edge length of a floor tile, m
 _SCENE_SIZE = 1.25  # size of a robot for which these values are suitable, m
 _SLICES, _STACKS = 24, 10  # subdivisions of round geoms about and along their axis
@@ -272,6 +272,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
     visual.quality.numslices, visual.quality.numstacks = _SLICES, _STACKS
     visual.quality.numquads = 1  # Boxes have 12 triangles, because arrows have hundreds of boxes.
     visual.map.znear, visual.map.zfar = 0.01, 50.0
+    visual.map.haze = 0.92
     _add_sky(root, palette)
     if scene.floor:
         _add_floor(root, palette)
@@ -282,10 +283,7 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
             castshadow=light.cast_shadow,
         )  # fmt: skip
     if not scene.lights:
-        # MuJoCo's shadows have dark specks far from the axis of a light.
-        bases = [T[:3, 3] for T in base_frames(scene.robots).values()]
-        middle = np.mean(bases, axis=0) if bases else np.zeros(3)
-        _add_key_light(root, palette, middle + _KEY_LIGHT)
+        _add_key_light(root, palette, _middle_of(scene) + _KEY_LIGHT)
     for name, camera in scene.cameras.items():
         body = root.worldbody
         if name in moved:
@@ -296,6 +294,16 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
             name=name, pos=camera.position, fovy=camera.fovy_deg,
             xyaxes=_look_axes(camera.look_at - camera.position),
         )  # fmt: skip
+
+
+def _middle_of(scene: Scene) -> Array:
+    # MuJoCo's shadows have dark specks far from the axis of a light.
+    bases = base_frames(scene.robots)
+    links = [
+        robot.kinematics.frames(robot.home, bases[name])[:, :3, 3].mean(axis=0)
+        for name, robot in scene.robots.items()
+    ]
+    return np.mean(links, axis=0) if links else np.zeros(3)
 
 
 def build_surroundings(

@@ -145,7 +145,8 @@ class World(WorldView):
         return np.asarray(self.model.geom_type != mujoco.mjtGeom.mjGEOM_PLANE)
 
     def reset(self, data: mujoco.MjData) -> None:
-        mujoco.mj_resetData(self.model, data)
+        """Sets declared values in a state of `model` or of a `physics_model`."""
+        mujoco.mj_resetData(data.model, data)
         for part in self.robots.values():
             data.qpos[part.qpos] = part.robot.home
             self.set_declared(data, part.robot, VALUE_INPUTS)
@@ -161,7 +162,7 @@ class World(WorldView):
         if self.owners:  # Declared values do not count as set by a program.
             flags = [*self.flags.values()]
             data.userdata[flags] = np.minimum(data.userdata[flags], SET_BY_SOURCE)
-        mujoco.mj_forward(self.model, data)
+        mujoco.mj_forward(data.model, data)
 
     def set_input(self, data: mujoco.MjData, target: str, values: Any) -> None:
         """Sets an input of the scene. Call `data.drive.place` afterwards to move the frames.

@@ -37,7 +37,7 @@ def look_like_degrees(robot: HasJoints, angles: Array) -> Bools:
     of 0.1. This excludes wheels that have rotated many times.
     """
     low, high = robot.plausible_limits.T
-    with np.errstate(invalid="ignore"):
+    with np.errstate(invalid="ignore", over="ignore"):
         beyond = np.maximum(low - angles, angles - high) > FAR_BEYOND
         is_round = np.abs(angles - _STEP * np.round(angles / _STEP)) < _ROUNDING
         size = np.abs(angles)

@@ -297,9 +297,9 @@ KEY_DIRECTION = (-0.35, 0.4, -1.0)  # direction of the rays that cast shadows
 PALETTES = {
     # With the key light, the floor is slightly darker than white when viewed from above.
     "light": Palette(
-        sky=((0.97, 0.98, 0.99), (0.70, 0.76, 0.82)),
+        sky=((0.82, 0.845, 0.87), (0.66, 0.73, 0.81)),
         tiles=((0.83, 0.85, 0.87), (0.86, 0.88, 0.90), (0.78, 0.80, 0.83)),
-        haze=(0.93, 0.95, 0.97),
+        haze=(0.82, 0.845, 0.87),
         headlight=(0.34, 0.28),
         key=0.52,
         physical=PhysicalLight(sky=0.40, ground=0.55, softbox=0.3, key=0.72),

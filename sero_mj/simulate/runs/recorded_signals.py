@@ -179,7 +179,8 @@ def follow_routes(
     owners = {*robots, *(group.name for group in grouped)}
     of = {name: str(table["of"]) for name, table in doubles.items()
           if isinstance(table, Mapping) and table.get("of") in owners}  # fmt: skip
-    wanted = _possible(wanted, {*owners, *of}, receivers)
+    own = {f"{name}.{key}" for name, robot in robots.items() for key in robot.inputs}
+    wanted = _possible(wanted, {*owners, *of}, receivers, own)
     scene = Scene(
         robots=list(robots.values()),
         groups=grouped,
@@ -202,7 +203,8 @@ def follow_routes(
              if origin.is_event}  # fmt: skip
     series = {name: read(name) for name in names}
     follower = _Follower(values, series, path, f"{moved[0]}.joint_angles", robots)
-    inputs = {event_of(name, signal): f"{name}.{signal}" for name in moved for signal in _SIGNALS}
+    inputs = {event_of(name, signal): f"{name}.{signal}"
+              for name in moved for signal in (*_SIGNALS, *robots[name].inputs)}  # fmt: skip
     for double, robot in ((name, each.of) for name, each in scene.doubles.items()):
         if robot in moved and f"{double}.joint_angles" in values:
             inputs.setdefault(event_of(robot, _TARGET), f"{double}.joint_angles")
@@ -216,12 +218,13 @@ def follow_routes(
 
 
 def _possible(
-    routes: Mapping[str, str], owners: Collection[str], sources: Collection[str]
-) -> dict[str, str]:
+    routes: Mapping[str, str], owners: Collection[str], sources: Collection[str],
+    own: Collection[str],
+) -> dict[str, str]:  # fmt: skip
     inputs = {target for target in routes if target.partition(".")[0] in owners
               and target.rpartition(".")[2] in (*_SIGNALS, VELOCITIES, "joint_accelerations",
                                                "billboard_values")}  # fmt: skip
-    left = {target: routes[target] for target in inputs}
+    left = {target: routes[target] for target in routes if target in inputs or target in own}
     while True:
         known = {target: origin for target, origin in left.items()
                  if all(_is_there(name, left, sources) for name in names_in(origin))}  # fmt: skip

@@ -119,14 +119,16 @@ def packed(data: bytes) -> str:
 def _page_alone(scripts: str, **values: str) -> str:
     script, style = _static("player.js"), _static("player.css")
     policy = (
-        f"default-src 'none'; script-src {_hash(_LOADER)} {_hash(script)}; "
-        f"style-src {_hash(style)}; img-src data: blob:; base-uri 'none'; form-action 'none'"
+        f"default-src 'none'; script-src {hash_of(_LOADER)} {hash_of(script)}; "
+        f"style-src {hash_of(style)}; img-src data: blob:; base-uri 'none'; form-action 'none'"
     )
     values["TITLE"] = html.escape(values["TITLE"])
     return _filled(
         POLICY=f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n',
         STYLE=f"<style>{style}</style>\n",
-        SCRIPT=_replaced(scripts, {"PLAYER": packed(script.encode()), "LOADER": _LOADER, **values}),
+        SCRIPT=fill_template(
+            scripts, {"PLAYER": packed(script.encode()), "LOADER": _LOADER, **values}
+        ),
         **values,
     )
 
@@ -138,14 +140,16 @@ def _static(name: str) -> str:
 def _filled(**values: str) -> str:
     licences = html.escape(_static("LICENCES.txt"))
     nothing = {"POLICY": "", "SCRIPT": "", "KIND": ""}
-    return _replaced(_static("page.html"), {"LICENCES": licences, **nothing, **values})
+    return fill_template(_static("page.html"), {"LICENCES": licences, **nothing, **values})
 
 
-def _replaced(text: str, values: Mapping[str, str]) -> str:
+def fill_template(text: str, values: Mapping[str, str]) -> str:
+    """Returns a text in which each `%%NAME%%` is replaced by a value."""
     parts = text.split("%%")
     parts[1::2] = [values[name] for name in parts[1::2]]
     return "".join(parts)
 
 
-def _hash(text: str) -> str:
+def hash_of(text: str) -> str:
+    """Returns the source expression of a content security policy that allows a script or style."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"

@@ -35,6 +35,9 @@ from .robot_inputs import RobotInputs
 if TYPE_CHECKING:
     from ..web.host import WebHost
 
+# Toggles that the first torques of a robot switch on, unless its file or the program sets them.
+_OF_TORQUES = ("show_arrows", "show_billboards")
+
 _shown: list[Viewer] = []  # open viewers, to which notebooks may have no other reference
 
 
@@ -67,6 +70,7 @@ class Viewer:
         self.urls = urls
         self.url: str | None = urls[0] if urls else None
         self._process, self._memory = process, memory
+        self._undecided = _undecided_toggles(world)
         self._on_click: OnClick | None = None
         self._outbox = Outbox(process.send)
         self._panels = UserPanels(self._outbox, lambda: self.is_open)
@@ -106,6 +110,9 @@ class Viewer:
     def set(self, target: str, values: Any) -> None:
         """Sets an input. The next frame shows the values.
 
+        The first torques of a robot switch on its arrows and billboards, unless the robot or the
+        program has set `show_arrows` or `show_billboards`.
+
         Args:
             target: name of the input of a robot, double, arrow or group, or of a switch. Examples:
                 `lwr.torques`, `goal.joint_angles`, `push.vector`, `justin.joint_angles`,
@@ -118,6 +125,19 @@ class Viewer:
             ValueError: the values do not have the shape or range of the input.
         """
         self._memory.set(target, values)
+        if self._undecided:
+            self._show_torques(target)
+
+    def _show_torques(self, target: str) -> None:
+        name, _, key = target.partition(".")
+        for owner in self.world.scene.members(name) or [name]:
+            if key in _OF_TORQUES:
+                self._undecided.discard((owner, key))
+            elif key == "torques":
+                for toggle in _OF_TORQUES:
+                    if (owner, toggle) in self._undecided:
+                        self._undecided.remove((owner, toggle))
+                        self._memory.set(f"{owner}.{toggle}", True)
 
     def robot(self, name: str) -> RobotInputs:
         """Returns the inputs of a robot or double as attributes: `robot("lwr").torques = ...`.
@@ -309,6 +329,19 @@ def view(
     if web:
         print(f"{viewer.world.scene.name} is at {' and '.join(viewer.urls)}", flush=True)
     return viewer
+
+
+def _undecided_toggles(world: WorldView) -> set[tuple[str, str]]:
+    """Returns the toggles of torques that no robot file and no scene sets, by robot."""
+    if isinstance(world, ModelWorld):
+        return set()
+    robots = world.scene.robots.values()
+    return {
+        (robot.name, toggle)
+        for robot in robots
+        for toggle in _OF_TORQUES
+        if toggle not in robot.model_fields_set
+    }
 
 
 def _open(shown: Scene | ModelWorld, process: ViewerProcess, options: dict[str, Any]) -> Viewer:

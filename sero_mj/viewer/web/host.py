@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from ..image.render import HeadlessRenderer
 
 RATE = 60.0  # number of frames per second
+_IDLE_RATE = 10.0  # the same for live data and waiting simulations that no browser shows
 
 
 class WebHost(LiveHost):
@@ -71,6 +72,7 @@ class WebHost(LiveHost):
         self._use(self.decor)
         self.decor.add(self._state)  # The last feature captures the output of all others.
         self._is_held = waits and not self.clock.is_live
+        self._is_put = False  # whether browsers have a state to start with
         self._is_closing = self._is_closed = False
         self.actions.add(
             {"link": self._copy_link, "status_line": partial(self.toggle, "shows_panel")}
@@ -113,7 +115,13 @@ class WebHost(LiveHost):
 
     @property
     def is_due(self) -> bool:
-        return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
+        return time.monotonic() - self._begin >= 1.0 / self._rate - 1e-3
+
+    @property
+    def _rate(self) -> float:
+        # Simulations that someone has started continue in real time.
+        is_idle = not self.is_seen and (self.clock.is_live or self._is_held)
+        return _IDLE_RATE if is_idle else RATE
 
     def frame(self, *, wait: bool = True) -> bool:
         """Serves one frame. If `wait` is False, does nothing until it is time for the next one."""
@@ -121,7 +129,7 @@ class WebHost(LiveHost):
             return False
         if not (wait or self.is_due):
             return True
-        time.sleep(max(self._begin + 1.0 / RATE - time.monotonic(), 0.0))
+        time.sleep(max(self._begin + 1.0 / self._rate - time.monotonic(), 0.0))
         self._begin = begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
@@ -133,6 +141,16 @@ class WebHost(LiveHost):
                 drops.discard(path)
         self._advance(0.0 if self._is_held else passed)
         self.navigator.advance(self.data)
+        if self.is_seen or not self._is_put:
+            self._put()
+        self.work = time.monotonic() - begin
+        self.tools.distribute_image(self.image)
+        if not self.tools.takes_images:
+            self._end_renderer()
+        return self.is_open
+
+    def _put(self) -> None:
+        self._is_put = True
         self.decor.lay_out(self.data, self.view.of_data(self.data))
         self._input.point()
         self._state.put(self.data, self.decor)
@@ -146,11 +164,6 @@ class WebHost(LiveHost):
             is_local=self.browsers.holder_is_local,
         )
         self.server.call(self.browsers.wake)
-        self.work = time.monotonic() - begin
-        self.tools.distribute_image(self.image)
-        if not self.tools.takes_images:
-            self._end_renderer()
-        return self.is_open
 
     # ---- the view
 

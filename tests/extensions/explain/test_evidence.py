@@ -23,6 +23,7 @@ from sero_mj.simulate.runs.run_log import RunLog
 from sero_mj.study.compare import as_json, compare, next_lines
 from sero_mj.study.evidence import Evidence, count_left_out
 from sero_mj.study.explanation import Explanation, Kind
+from sero_mj.study.explanation_marks import marks_of_explanations
 from sero_mj.study.plot import plot_pair
 
 FRICTION = json.dumps({"kind": "friction", "added_coulomb": 1.5, "joints": ["A2"]})
@@ -163,6 +164,20 @@ def test_json_has_rows_alternatives_and_next(friction: Explanation) -> None:
     evidence = found["evidence"]
     assert evidence["rows"] == evidence["used"] + sum(evidence["left_out"].values())
     assert evidence["rms_after"] < 0.1 * evidence["rms_before"]
+
+
+def test_mark_has_the_plots_of_its_joint(friction: Explanation) -> None:
+    log = swing(FRICTION)
+    pair = pair_with_model(log, torque_residuals(log, "lwr"))
+    (mark,) = marks_of_explanations(pair, [friction])
+    plot, evidence = mark.plot, evidence_of(friction)
+    assert plot is not None and (mark.text, plot.joint) == ("A2: friction +1.5 Nm", "lwr/A2")
+    assert mark.begin + pair.times[0] == pytest.approx(BEGIN, abs=0.03)
+    assert (plot.label, plot.quantity) == ("A2, drive side [Nm]", "over velocity [deg/s]")
+    assert plot.times[0] == 0.0 and len(plot.times) == len(evidence.times)
+    known = [each for each in plot.before if each is not None]
+    np.testing.assert_allclose(known, evidence.before[np.isfinite(evidence.before)], rtol=1e-4)
+    assert f"next: {friction.next}" in plot.notes and evidence.rows_text in plot.notes
 
 
 def test_figure_shows_evidence_below_or_on_a_page(friction: Explanation, tmp_path: Path) -> None:

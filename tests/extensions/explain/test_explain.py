@@ -236,7 +236,8 @@ def test_runs_are_distinguished_by_faults_in_only_one_of_them() -> None:
     (mine,) = explain_runs(a, b, both)
     assert (mine.joint, mine.kind, mine.size) == ("A2", "bias", pytest.approx(-4.0, abs=0.1))
     (theirs,) = explain_runs(b, a, both)
-    assert theirs.size == pytest.approx(4.0, abs=0.1)
+    assert theirs.size == pytest.approx(-4.0, abs=0.1) and theirs.is_second
+    assert theirs.confidence > 0.9
     # Started later by another clock.
     later = RunLog(b.robots, b.signals, b.times + 0.7, "later")
     (moved,) = explain_runs(a, later, both, offset=-0.7)
@@ -269,12 +270,33 @@ def test_difference_of_two_gains_is_reported() -> None:
         for seed, gain in ((0, 0.8), (1, 0.5))
     ]
     sound = swing(seed=5)
-    for a, b, size in ((*runs, 0.3), (sound, runs[1], 0.5), (runs[0], sound, -0.2)):
+    for a, b, size, end in (
+        (*runs, 0.3, ", A minus B"), (sound, runs[1], 0.5, ", in B"), (runs[0], sound, 0.8, ""),
+    ):  # fmt: skip
         (found,) = explain_runs(a, b, ("lwr", "lwr"))
         assert (found.joint, found.kind, found.part) == ("A2", "gain", "torque sensor")
         assert found.size == pytest.approx(size, abs=0.01)
-        assert re.fullmatch(rf"gain: \{size:+.1f}.* of the torque sensor, A less B", found.text)
-    assert "A less B" not in explain_run(runs[0], "lwr")[0].text
+        assert re.fullmatch(rf"gain: \+?{size:.1f}.* of the torque sensor{end}", found.text)
+
+
+@pytest.mark.parametrize(
+    ("fault", "load", "kind", "size"),
+    [
+        ({"kind": "friction", "added_coulomb": 1.5}, {}, "friction", 1.5),
+        ({"kind": "encoder_offset", "offset_deg": 1.0}, {}, "encoder", 1.0),
+        ({}, {"kind": "payload", "robot": "lwr", "mass": 2.5}, "payload", 2.5),
+    ],
+)
+def test_fault_of_the_second_run_has_its_own_size(
+    fault: dict[str, Any], load: dict[str, Any], kind: str, size: float
+) -> None:
+    joints = {"joints": ["A2"]} if fault else {}
+    broken = swing(json.dumps({**fault, **joints}), json.dumps(load))
+    (found,) = explain_runs(swing(seed=5), broken, ("lwr", "lwr"))
+    assert (found.kind, found.is_second) == (kind, True)
+    assert found.size == pytest.approx(size, abs=0.05)
+    assert found.confidence > 0.9
+    assert found.text.endswith(", in B")
 
 
 def test_commands_alone_suffice_without_link_masses() -> None:

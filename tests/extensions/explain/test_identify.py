@@ -238,7 +238,7 @@ def test_identify_writes_lines_and_a_figure(
     assert len(tomllib.loads(lines.read_text(encoding="utf-8"))["dynamics"]) == 2
     text = picture.read_text(encoding="utf-8")
     assert "run: lwr identified" in text
-    assert "rms left" in text
+    assert "residual rms" in text
     assert command(recording, "--from", 1, "--json") == 0
     found = json.loads(capsys.readouterr().out)
     assert found["begin"] == pytest.approx(1.0)

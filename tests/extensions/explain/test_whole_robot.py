@@ -201,7 +201,7 @@ def test_command_identifies_validates_and_writes(
     ("arguments", "expected"),
     [
         (["--validate", "x.mcap"], "--validate needs --links"),
-        (["-o", "x.urdf"], "--output: found 'x.urdf'; expected .toml without --links"),
+        (["-o", "x.urdf"], "--output: found 'x.urdf'; expected a name that ends in .toml"),
         (["--links", "--plot", "x.pdf"], "--plot is not available with --links"),
     ],
 )

@@ -391,7 +391,7 @@ def test_commands_for_runs_report_the_readable_part_of_a_truncated_bag(
         count = recording.sources["joint_states"].count
     assert run(capsys, "plot", str(path), "-o", str(tmp_path / "cut.pdf"))[0] == 0
     (told,) = [each.getMessage() for each in caplog.records]
-    assert told.startswith(f"{path} is truncated or damaged at byte ")
+    assert told.startswith(f"{path}: is truncated or damaged at byte ")
     assert told.endswith(f"; {count} messages of {(count - 1) * STEP / 1e9:.1f} s can be read")
 
 

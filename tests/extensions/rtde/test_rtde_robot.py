@@ -302,8 +302,8 @@ def test_torques_come_on_top_of_gravity(folder: Path) -> None:
         ("far", "shoulder_lift_joint is commanded to 7 rad; expected -6.283 to 6.283"),
         ("jump", "is commanded at"),
         ("size", "found 40 bytes; expected 48"),
-        ("recipe", "is of recipe 9"),
-        ("garbage", "sent what is no message of RTDE: 18245 bytes of type 84"),
+        ("recipe", "a data package of unknown recipe 9"),
+        ("garbage", "an RTDE message is invalid: 18245 bytes of type 84"),
     ],
 )
 def test_invalid_commands_are_counted_reported_once_and_ignored(

@@ -252,7 +252,7 @@ def test_recordings_are_sent_to_workers_without_the_disk(file: Path, tmp_path: P
     with machines(tmp_path, file.parents[1], 1) as found:
         engine = ["--engine", "dask", "--scheduler", found.file]
         code, output = commanded(*compare, *engine)
-        assert code == 2 and f"{client}/broken.mcap is no MCAP file" in output
+        assert code == 2 and f"{client}/broken.mcap is not an MCAP file" in output
         assert not list(tmp_path.rglob("*.mcap"))  # removed afterwards
     assert table.read_bytes() == here
     rows = here.decode().splitlines()
@@ -390,7 +390,10 @@ def test_worker_with_other_packages_is_reported(
     monkeypatch.setattr(cluster_worker, "versions", lambda: {**own, "numpy": "1.0"})
     with machines(tmp_path, file.parents[1], 1) as found, pytest.raises(ClusterError) as caught:
         list(Cluster(str(found.file)).run(work))
-    assert f"differs: numpy is {own['numpy']}, and 1.0 here" in caught.value.reason
+    assert (
+        f"differs from this machine: numpy is {own['numpy']} there and 1.0 here"
+        in caught.value.reason
+    )
 
 
 @pytest.mark.parametrize(

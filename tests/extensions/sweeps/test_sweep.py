@@ -466,7 +466,7 @@ def test_sweep_writes_table_and_figure_and_reports_the_result(
     assert caught.value.code == 1
     assert "shove: 6 variants (6 in " in output
     assert "stopped stiffness 9000, elastic True: controllers.lwr.stiffness: found 9000" in output
-    assert "2 stopped by errors" in output
+    assert "2 stopped with an error" in output
     assert len(read(out)) == 6
     assert plot.read_bytes()[:4] == b"\x89PNG" and plot.stat().st_size > 5000
     with pytest.raises(SystemExit) as caught:

@@ -30,7 +30,10 @@
  *   fill: number[], reflections: number[][]}} Palette displayed colors, and light relative to white */
 /** @typedef {{looks: {light: Palette, dark: Palette}, towards: number[], floor: {height: number,
  *   tile: number, far: number, haze: number} | null}} Surroundings */
-/** @typedef {{begin: number, end: number, text: string, kind: string}} Mark */
+/** @typedef {{joint: string, notes: string[], label: string, times: number[], before: (number | null)[],
+ *   after: (number | null)[], quantity: string, unit: string, values: (number | null)[], fit: [number, number][]}} MarkPlot
+ *   as in `MarkPlot` of `capture.py` */
+/** @typedef {{begin: number, end: number, text: string, kind: string, plot?: MarkPlot | null}} Mark */
 /** @typedef {{positions: Float32Array, normals: Float32Array, triangles: Uint32Array,
  *   uv?: Float32Array}} MeshData */
 /** @typedef {{texts: string[], at: Float32Array}} Texts */
@@ -131,6 +134,17 @@ class Arrays {
     for (let i = 0; i < count; i++) normals.set(normalOf(square[i], square[count + i]), 3 * i);
     return { positions: this.places(mesh.vertices, mesh.low, mesh.step), normals,
       triangles: this.differing(mesh.triangles), ...this.uv(mesh.uv) };
+  }
+
+  /** Reads the meshes of arrows and axes. @param {any} shapes */
+  shapes({ first, step, groups }) {
+    /** @type {{positions: Float32Array, index: Uint32Array}[]} */
+    const meshes = [];
+    for (const { count, vertices, faces } of groups) {
+      const numbers = this.moving(vertices, count, step), index = this.differing(faces);
+      for (let k = 0; k < count; k++) meshes.push({ positions: numbers.filter((_, i) => i % count === k), index });
+    }
+    return { first: Number(first), meshes };
   }
 
   /** @param {any} texture @returns {Texture} */
@@ -236,6 +250,7 @@ export function decode(bytes) {
     values,
     arrows: {
       ...head.arrows,
+      shapes: arrays.shapes(head.arrows.shapes),
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),

@@ -4,7 +4,8 @@ import uPlot from "uplot";
 import { fixed } from "./data.js";
 import { made, mark } from "./page.js";
 
-/** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[], isDashed?: boolean, tip?: string}} Line */
+/** @typedef {{name: string, rgb: number[], x: number[], y: (number | null)[], isDashed?: boolean, isPoints?: boolean,
+ *   tip?: string}} Line isPoints: whether the values are not connected */
 /** @typedef {{x: string, y: string, xRange: [number, number], yRange: [number, number],
  *   limits: number[], height: number, lines: Line[], name?: string, now?: number}} Content
  *   x: unit of the x axis; y: quantity and unit of the y axis; name: name of the plotted signal;
@@ -128,8 +129,8 @@ export class Graph {
       padding: [6, 10, 0, 0],
       axes: [{ ...axis, size: 24, ...timeAxis(content.x) },
         { ...axis, ...VALUE_AXIS }],
-      series: [{}, ...content.lines.map(({ rgb, isDashed }) => ({ stroke: colourOf(rgb), width: 1.75,
-        points: { show: false }, ...isDashed ? { dash: [6, 4] } : {} }))],
+      series: [{}, ...content.lines.map(({ rgb, isDashed, isPoints }) => ({ stroke: colourOf(rgb), width: 1.75,
+        points: { show: isPoints ?? false, size: 4, fill: colourOf(rgb) }, ...isPoints ? { paths: () => null } : {}, ...isDashed ? { dash: [6, 4] } : {} }))],
       hooks: { drawAxes: [(plot) => this.#drawLimits(plot)], draw: [(plot) => this.#drawNow(plot)] },
     }, dataOf(content.lines), this.room);
     this.#listen(this.plot);

@@ -1,9 +1,10 @@
 /** The transport of a recorded run, which sends the same sections to the player as the server of a live page. */
 
-import { addStraight } from "./arrows.js";
+import { addArrows } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { fixed, textOf, valueOf } from "./data.js";
 import { BILLBOARD, Geoms, VECTOR, geomsAt } from "./geoms.js";
+import { evidencePlots } from "./evidence_plot.js";
 import { JointBillboards } from "./joint_billboards.js";
 import { labelsAt } from "./labels.js";
 import { torquePlot } from "./torque_plot.js";
@@ -61,6 +62,10 @@ export class Recording {
     /** @type {Picked | null} */
     this.selected = null;
     this.ticks = ticksOf(run);
+    this.findings = run.marks.filter(({ plot }) => plot); // marks with evidence
+    this.finding = -1; // index of the finding whose evidence is plotted
+    /** @type {import("./graph.js").Content[]} */
+    this.evidence = [];
     this.serial = 0; // number of camera motions by keys
     /** @type {{x: number, y: number} | null} */
     this.pressed = null;
@@ -81,6 +86,7 @@ export class Recording {
     this.onopen();
     this.#send({ you: { id: 1 }, control: { holder: 1, count: 1 }, about: { title: run.title }, status: statusOf(run) });
     this.choose(this.#mostLoaded());
+    if (this.findings.length) this.chooseFinding(0);
     const wanted = new URLSearchParams(location.hash.slice(1)).get("t");
     if (wanted === null) this.clock.isPlaying = run.frames > 1;
     else this.seek(Number(wanted) || 0);
@@ -160,9 +166,9 @@ export class Recording {
       case "on": clock.step(1); break;
       case "loop": clock.isLooping = value; break;
       case "speed": clock.speed = SPEEDS[value]; break;
-      case "joint": this.choose(value); break;
+      case "joint": this.#plotItem(value); break;
       case "quantity": this.nextQuantity(); break;
-      case "time": case "plot": this.seek(value - this.run.begin); break;
+      case "time": case "plot": this.seek(value - this.run.begin); this.#findAt(value - this.run.begin); break;
       default: if (id in NAMES) this.toggle(id);
     }
   }
@@ -196,7 +202,33 @@ export class Recording {
   goToMark(places) {
     const times = this.run.marks.map((mark) => mark.begin).sort((a, b) => a - b);
     const there = times.filter((time) => (time - this.clock.time) * places > 1e-3);
-    if (there.length) this.seek(places > 0 ? there[0] : there[there.length - 1]);
+    if (!there.length) return;
+    const time = places > 0 ? there[0] : there[there.length - 1];
+    this.seek(time);
+    this.#findAt(time);
+  }
+
+  /** Plots the evidence of a mark that begins at a time. @param {number} time since the start, s */
+  #findAt(time) {
+    const found = this.findings.findIndex(({ begin }) => Math.abs(begin - time) < 1e-9);
+    if (found >= 0) this.chooseFinding(found);
+  }
+
+  /** Plots an item of the list, which are joints and then findings. @param {number} item */
+  #plotItem(item) {
+    const { length } = this.run.joints;
+    if (item < length) this.choose(item);
+    else this.chooseFinding(item - length);
+  }
+
+  /** Plots the evidence of a finding, and marks its joint. @param {number} finding */
+  chooseFinding(finding) {
+    const { joints } = this.run, { plot } = this.findings[finding];
+    const joint = joints.findIndex(({ name }) => name === plot?.joint);
+    if (joint >= 0) this.choose(joint);
+    this.finding = finding;
+    this.evidence = plot ? evidencePlots(this.run, plot) : [];
+    this.#change();
   }
 
   /** @param {number} places */
@@ -220,6 +252,7 @@ export class Recording {
 
   /** Plots a joint. @param {number} joint */
   choose(joint) {
+    this.finding = -1;
     this.chosen = this.billboards.chosen = joint;
     if (joint >= 0) this.plot = torquePlot(this.run, joint);
     this.#change();
@@ -258,10 +291,10 @@ export class Recording {
     const hasArrow = (/** @type {number} */ j) => switches.arrows
       && (run.joints[j].arrow.on || !areSome) && (run.joints[j].double < 0 || switches.doubles);
     return {
-      at: clock.at, hasDoubles: switches.doubles, hasArrow, labels: labelsAt(run, frame),
+      at: clock.at, hasDoubles: switches.doubles, labels: labelsAt(run, frame),
       geoms: (sites) => {
         geomsAt(run, frame, switches.arrows, geoms);
-        addStraight(run, clock.at, sites, hasArrow, geoms);
+        addArrows(run, clock.at, sites, hasArrow, geoms);
         return geoms;
       },
       billboards: () => switches.numbers ? this.billboards.at(stage, frame) : [],
@@ -315,11 +348,15 @@ export class Recording {
 
   #plotArea() {
     const { run, clock, chosen, plot } = this;
-    const names = run.joints.map(({ name }) => name);
-    return { title: "Plot", name: "plot", nodes: [
-      { k: "choose", id: "joint", s: "", aria: "Joint", index: chosen, names, width: 11 },
-      { k: "plot", id: "plot", ...plot, name: names[chosen], now: run.begin + clock.time },
-    ] };
+    const { findings, finding } = this, now = run.begin + clock.time;
+    const names = [...run.joints.map(({ name }) => name), ...findings.map(({ text }) => text)];
+    const index = finding < 0 ? chosen : run.joints.length + finding;
+    const choice = { k: "choose", id: "joint", s: "", aria: "Joint", index, names, width: 11 };
+    if (finding < 0) return { title: "Plot", name: "plot", nodes: [choice, { k: "plot", id: "plot", ...plot, name: names[chosen], now }] };
+    const [overTime, overQuantity] = this.evidence, width = 0, name = names[index];
+    return { title: "Plot", name: "plot", nodes: [choice, { k: "plot", id: "plot", ...overTime, name, now, width },
+      { k: "plot", id: "over", ...overQuantity, name, width, same: this.width >= NARROW },
+      { k: "text", s: (findings[finding].plot?.notes ?? []).join("\n") }] };
   }
 
   /** @returns {Node[]} */

@@ -12,12 +12,15 @@ const HEIGHT = 10; // height of the plot, in text heights
 const MIN_RANGE = 0.01; // minimum range, relative to the largest value and also in the unit of the plot
 const MAX_NAME = 28; // maximum number of characters of a file name
 
-/** Returns the range of a plot for values, with a minimum so that noise is not enlarged. @param {(number | null)[]} values @returns {[number, number]} */
-function rangeOf(values) {
+/**
+ * Returns the range of a plot for values, with a minimum so that noise is not enlarged.
+ * @param {(number | null)[]} values @param {number} [least] minimum of the range @returns {[number, number]}
+ */
+export function rangeOf(values, least = MIN_RANGE) {
   let [low, high] = [Infinity, -Infinity];
   for (const each of values) if (each !== null) [low, high] = [Math.min(low, each), Math.max(high, each)];
   if (low > high) return [-1, 1];
-  const minimum = MIN_RANGE * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(minimum - (high - low), 0) / 2;
+  const minimum = least * Math.max(Math.abs(low), Math.abs(high), 1), more = Math.max(minimum - (high - low), 0) / 2;
   return /** @type {[number, number]} */ (uPlot.rangeNum(low - more, high + more, 0.1, true));
 }
 

@@ -2,6 +2,7 @@ import assert from "node:assert/strict";
 import { test } from "node:test";
 import { widthOf } from "../src/arrows.js";
 import { Clock } from "../src/clock.js";
+import { evidencePlots } from "../src/evidence_plot.js";
 import { digitsOf } from "../src/graph.js";
 import { decode, fixed, normalOf, textOf, unfold, valueOf } from "../src/data.js";
 import { stacked } from "../src/layout.js";
@@ -11,12 +12,25 @@ const ARROW = {
   on: true, round: true, radius: 0.1, opacity: 1, scale: 0.01, band: 0.01, limit: 100, widest: 1.5,
 };
 
+const NONE = { first: 0, step: 1, groups: [] }; // meshes of arrows
+
 test("signs in the lowest bit are decoded", () => {
   assert.deepEqual([0, 1, 2, 3, 4].map(unfold), [0, -1, 1, -2, 2]);
 });
 
 test("numbers of an axis have as many digits as its steps", () => {
   assert.deepEqual([1e-7, 1e-4, 0.25, 0.1, 1, 50, 2.5].map(digitsOf), [7, 4, 2, 1, 0, 0, 1]);
+});
+
+test("evidence is plotted over time, and over its quantity in ascending order", () => {
+  const plot = { joint: "a/A1", notes: [], label: "A1 [Nm]", times: [0, 1, 2], before: [3, null, 1], after: [0, null, 0.5],
+    quantity: "over angle [deg]", unit: "deg", values: [5, 4, -5], fit: /** @type {[number, number][]} */ ([[-5, 1], [5, 3]]) };
+  const [overTime, overQuantity] = evidencePlots(/** @type {any} */ ({ begin: 10 }), plot);
+  assert.deepEqual(overTime.xRange, [10, 12]);
+  assert.deepEqual(overTime.lines.map(({ x, y }) => [x, y]), [[[10, 11, 12], [3, null, 1]], [[10, 11, 12], [0, null, 0.5]]]);
+  assert.deepEqual(overQuantity.lines.map(({ x, y }) => [x, y]), [[[-5, 5], [1, 3]], [[-5, 5], [0.5, 0]], [[-5, 5], [1, 3]]]);
+  assert.ok(overQuantity.xRange[0] < -5 && overQuantity.xRange[1] > 5);
+  assert.deepEqual(overTime.yRange, overQuantity.yRange);
 });
 
 test("normals of all octants have unit length", () => {
@@ -37,11 +51,11 @@ test("numbers are formatted as in Python", () => {
 });
 
 test("arrow widths grow with the square root of the value, between dead band and maximum", () => {
-  assert.equal(widthOf(ARROW, 1, 0.03), 0);
-  assert.ok(Math.abs(widthOf(ARROW, 100, 0.03) - 0.1) < 1e-12);
-  assert.ok(Math.abs(widthOf(ARROW, -25, 0.03) - 0.05) < 1e-12);
-  assert.ok(Math.abs(widthOf(ARROW, 1e6, 0.03) - 0.15) < 1e-12);
-  assert.equal(widthOf(ARROW, NaN, 0.03), 0);
+  assert.equal(widthOf(ARROW, 1, 0.03, 1), 0);
+  assert.ok(Math.abs(widthOf(ARROW, 100, 0.03, 1) - 0.1) < 1e-12);
+  assert.ok(Math.abs(widthOf(ARROW, -25, 0.03, 1) - 0.05) < 1e-12);
+  assert.ok(Math.abs(widthOf(ARROW, 1e6, 0.03, 1) - 0.15) < 1e-12);
+  assert.equal(widthOf(ARROW, NaN, 0.03, 1), 0);
 });
 
 test("boxes do not overlap, stay in their column, and have their preferred positions if possible", () => {
@@ -75,7 +89,7 @@ test("a head and its arrays are decoded, with one channel after the other", () =
   const head = {
     version: 1, fps: 1, begin: 0, frames: 2, steps: [0.5, 1], positions: moving, rotations: empty,
     opacity: empty, grey: empty, meshes: [], geoms: [], joints: [{ torqueLimit: 5 }],
-    values: { torques: [1, "f8", 2] }, arrows: { stale: empty, values: null }, items: { of: [] },
+    values: { torques: [1, "f8", 2] }, arrows: { shapes: NONE, stale: empty, values: null }, items: { of: [] },
     notes: { texts: [""], at: empty }, legend: { texts: [[]], at: empty }, cards: [],
     lengths: [4, 16],
   };
