@@ -6,7 +6,7 @@ A rigid body can have the `PARAMETERS` if and only if its pseudo-inertia matrix
 
 is positive definite. The excited combinations of the parameters follow from the torques. All other
 combinations stay close to declared or estimated links, by the Bregman divergence of -log det P.
-The sum of both is convex, and its barrier keeps all links consistent. Newton's method minimizes it.
+The sum of both is convex, and infinite for inconsistent links. Newton's method minimizes it.
 
 A link that differs much from its prior, such as one with a payload, gets a smaller weight.
 
@@ -85,7 +85,7 @@ def consistent_parameters(
 
 
 class _Fit:
-    # Links are given by factors L (n, 4, 4) of P = L L^T, which keep the precision of small
+    # Links have factors L (n, 4, 4) of P = L L^T, which do not lose the precision of small
     # eigenvalues.
     def __init__(
         self, combination: Array, values: Array, information: Array, inverse: Array
