@@ -36,8 +36,8 @@ from sero_mj.cli.arguments import read_scene
 from sero_mj.extensions.explain.base_parameters import standard_torques
 from sero_mj.extensions.explain.identify import figures, identify
 from sero_mj.extensions.explain.link_torques import link_torques
+from sero_mj.extensions.explain.links.identify_links import identify_links, prediction_errors
 from sero_mj.extensions.explain.regression import Estimate
-from sero_mj.extensions.explain.whole_robot import identify_links, prediction_errors
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.runs.run_log import RunLog

@@ -141,9 +141,9 @@ def run(options: IdentifyOptions) -> int:
 
 def _identify_links(options: IdentifyOptions, log: RunLog, name: str) -> int:
     from ...study.align import choose_robot
-    from .identified_files import write_identified
-    from .whole_robot import identify_links, prediction_errors
-    from .whole_robot_report import as_json, base_table, error_table, joint_table, remarks
+    from .links.identify_links import identify_links, prediction_errors
+    from .links.report import as_json, base_table, error_table, joint_table, remarks
+    from .links.robot_files import write_identified
 
     whole, errors, other = identify_links(log, name), [], None
     if options.validate_with is not None:
@@ -173,7 +173,7 @@ def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """
     from ...study.align import choose_robot
     from .identify import figures, identify
-    from .whole_robot import identify_links
+    from .links.identify_links import identify_links
 
     single = {key: value for key, value in shared.items() if key not in _BATCH_OPTIONS}
     options = IdentifyOptions(**{**single, "recordings": [str(file)]})

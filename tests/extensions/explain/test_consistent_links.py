@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from sero_mj.extensions.explain.base_parameters import BaseParameters, standard_parameters
-from sero_mj.extensions.explain.consistent_links import (
+from sero_mj.extensions.explain.links.consistent_links import (
     _parameters_of,
     consistent_parameters,
     pseudo_inertias,

@@ -16,9 +16,13 @@ from sero_mj.base.errors import DeclarationError, UsageError
 from sero_mj.cli import main
 from sero_mj.cli.arguments import read_scene
 from sero_mj.extensions.explain.base_parameters import standard_torques
-from sero_mj.extensions.explain.identified_files import write_identified
+from sero_mj.extensions.explain.links.identify_links import (
+    WholeRobot,
+    identify_links,
+    prediction_errors,
+)
+from sero_mj.extensions.explain.links.robot_files import write_identified
 from sero_mj.extensions.explain.torque_residuals import torque_residuals
-from sero_mj.extensions.explain.whole_robot import WholeRobot, identify_links, prediction_errors
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.simulate.runs.run_log import RunLog

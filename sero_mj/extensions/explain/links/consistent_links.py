@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...base.frames import Array
+from ....base.frames import Array
 
 _MAX_STEPS = 60
 _STEP = 0.15  # logarithm of the ratio of weights along the path

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...robots.assemble.robot_dynamics import robot_dynamics
-from .base_parameters import standard_parameters
-from .robot_equations import DRIVE
-from .whole_robot import PredictionError, WholeRobot
+from ....robots.assemble.robot_dynamics import robot_dynamics
+from ..base_parameters import standard_parameters
+from .equations import DRIVE
+from .identify_links import PredictionError, WholeRobot
 
 if TYPE_CHECKING:
     from rich.console import JustifyMethod

@@ -24,12 +24,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...base.frames import Array, Bools, rotation_about
-from ...robots.assemble.robot_dynamics import robot_dynamics
-from ...robots.declared.robot import SerialRobot
-from .base_parameters import BaseParameters, standard_parameters, standard_torques
-from .link_torques import body_torques, link_motion
-from .torque_residuals import TorqueResiduals
+from ....base.frames import Array, Bools, rotation_about
+from ....robots.assemble.robot_dynamics import robot_dynamics
+from ....robots.declared.robot import SerialRobot
+from ..base_parameters import BaseParameters, standard_parameters, standard_torques
+from ..link_torques import body_torques, link_motion
+from ..torque_residuals import TorqueResiduals
 
 DRIVE = ("coulomb_friction", "viscous_friction", "motor_inertia")
 STRIBECK_SPEEDS = (0.02, 0.05, 0.1, 0.2)  # rad/s or m/s

@@ -18,17 +18,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...base.errors import Problem, UsageError
-from ...base.frames import MIRROR, Array
-from ...robots.assemble.robot_dynamics import robot_dynamics
-from ...robots.declared.dynamics import Dynamics
-from ...robots.declared.robot import SerialRobot
-from ...simulate.runs.run_log import RunLog, event_of
-from .base_parameters import BaseParameters, standard_parameters
+from ....base.errors import Problem, UsageError
+from ....base.frames import MIRROR, Array
+from ....robots.assemble.robot_dynamics import robot_dynamics
+from ....robots.declared.dynamics import Dynamics
+from ....robots.declared.robot import SerialRobot
+from ....simulate.runs.run_log import RunLog, event_of
+from ..base_parameters import BaseParameters, standard_parameters
+from ..regression import Estimate, Regression, condition_number, regression
+from ..torque_residuals import TorqueResiduals, torque_residuals
 from .consistent_links import consistent_parameters
-from .regression import Estimate, Regression, condition_number, regression
-from .robot_equations import EquationBuilder, Parameter, RobotEquations, separable_inertias
-from .torque_residuals import TorqueResiduals, torque_residuals
+from .equations import EquationBuilder, Parameter, RobotEquations, separable_inertias
 
 _MAX_ROWS = 1500
 _FLOOR = 2e-5  # share of the torque limit that is added to the residuals, as in `identify`

@@ -8,14 +8,14 @@ from typing import Any
 
 from lxml import etree
 
-from ...base.declaration import changed_fields
-from ...base.errors import Problem
-from ...base.frames import Array, inverse
-from ...robots.assemble.robot_dynamics import robot_dynamics
-from ...robots.declared.robot import SerialRobot
-from ...robots.declared.scene import Scene
-from ...robots.importers.toml_text import toml_text
-from .whole_robot import WholeRobot
+from ....base.declaration import changed_fields
+from ....base.errors import Problem
+from ....base.frames import Array, inverse
+from ....robots.assemble.robot_dynamics import robot_dynamics
+from ....robots.declared.robot import SerialRobot
+from ....robots.declared.scene import Scene
+from ....robots.importers.toml_text import toml_text
+from .identify_links import WholeRobot
 
 _GEOMETRY = ("filenames", "collisions", "colors", "mesh_scale", "mjcf")
 _TENSOR = {"ixx": (0, 0), "ixy": (0, 1), "ixz": (0, 2), "iyy": (1, 1), "iyz": (1, 2),
@@ -37,7 +37,7 @@ def write_identified(whole: WholeRobot, path: Path) -> None:
     elif ending == ".urdf":
         path.write_bytes(_urdf(whole))
     else:
-        from ...robots.assemble.world import World
+        from ....robots.assemble.world import World
 
         World(Scene(robots=[whole.identified], floor=False)).export(path)
         text = path.read_text("utf-8")
