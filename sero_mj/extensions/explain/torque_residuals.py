@@ -277,9 +277,11 @@ def torque_residuals(
     for each in (plain, looped):
         each[reverses] = np.nan
     undeclared = tuple(key for key in OF_MOTORS if key in dynamics.estimated)
-    effects = dict(zip(OF_MOTORS, (acceleration, smooth, signs), strict=True))
-    plain = _without_fit(plain, [effects[key] for key in undeclared])
-    looped = _without_fit(looped, [effects[key] for key in undeclared if key == OF_MOTORS[0]])
+    motion = JointMotion(
+        smooth, signs, acceleration, slow, np.stack([low_pass(each) for each in (q, v, a)])
+    )
+    plain = _without_fit(plain, effects_of_motors(motion, undeclared, torque_control=False))
+    looped = _without_fit(looped, effects_of_motors(motion, undeclared, torque_control=True))
     scale = _scale(robot, measured)
     if torque_control is None:
         # The fit of more parameters is always closer.
@@ -298,7 +300,6 @@ def torque_residuals(
         late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
         payload=low_pass(body_torques(robot, q, v, a)),
     )
-    links = np.stack([low_pass(each) for each in (q, v, a)])
     held = tuple(_held(at, each) for each in measured.T)
     return TorqueResiduals(
         robot=robot,
@@ -307,7 +308,7 @@ def torque_residuals(
         motor=looped if torque_control else plain,
         lag=low_pass(lag),
         torques=torques,
-        motion=JointMotion(smooth, signs, acceleration, slow, links),
+        motion=motion,
         noise=SensorNoise(rough, at[1] + windows, held),
         width=low_pass.width,
         sample_time=step,
@@ -330,6 +331,19 @@ def torque_residuals(
             reverses=reverses,
         ),
     )
+
+
+def effects_of_motors(
+    motion: JointMotion, keys: Sequence[str], *, torque_control: bool
+) -> list[Array]:
+    """Returns the motor torques per unit of some of `OF_MOTORS`, shape (K, n) each.
+
+    Joint torque control compensates friction, so that only the inertia has an effect.
+    """
+    effects = dict(
+        zip(OF_MOTORS, (motion.accelerations, motion.velocities, motion.signs), strict=True)
+    )
+    return [effects[key] for key in keys if key == OF_MOTORS[0] or not torque_control]
 
 
 def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:
