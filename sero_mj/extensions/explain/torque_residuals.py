@@ -22,7 +22,7 @@ and regressors). Khalil and Dombre, Modeling, Identification and Control of Robo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -151,6 +151,8 @@ class TorqueResiduals:
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
         no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
+        filtered: low-pass filters the torques (T, ...) that a function returns for the joint
+            values, velocities and accelerations (T, n) of all rows; returns shape (K, ...).
         undeclared: keys of `[dynamics]` that are not declared. The friction and motor inertia of
             `motor` are then fitted to this run, so that only their changes are visible.
         left_out: mapping from reasons to the rows without residuals of link and motor for this
@@ -171,6 +173,7 @@ class TorqueResiduals:
     coulomb: Array
     torque_control: bool
     no_model: str
+    filtered: Callable[[Callable[[Array, Array, Array], Array]], Array]
     undeclared: tuple[str, ...] = ()
     left_out: Mapping[str, Bools] = field(default_factory=dict)
 
@@ -313,6 +316,7 @@ def torque_residuals(
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
+        filtered=lambda torques: low_pass(torques(q, v, a)),
         undeclared=undeclared,
         left_out=_left_out(
             low_pass,
