@@ -90,6 +90,8 @@ class CompareOptions(SizeOptions, TrendOptions):
             others = ("each", "against_model", "offset", "plot", "csv", "render")
             tolerances = ("tolerance_torque", "tolerance_angle")
             self.refuse((*others, *tolerances), " cannot be combined with --baseline")
+            if self.output is not None and self.output.suffix.lower() == ".md":
+                raise ValueError("--output: found .md; expected .html with --baseline")
             return self
         self.refuse(_TREND_OPTIONS, " needs --baseline")
         if self.b is not None and self.against_model and not self.each:
@@ -158,7 +160,12 @@ def _compare_two(options: CompareOptions) -> int:
         from ..study.plot import plot_pair
 
         plot_pair(pair, options.plot, explanations=explanations or ())
-    if options.output is not None:
+    if options.output is not None and options.output.suffix.lower() == ".md":
+        from ..study.verdict_report import write_markdown
+
+        verdicts = explanations or []
+        write_markdown(pair, differences, verdicts, about, options.output, options.plot)
+    elif options.output is not None:
         _page(pair, options.output, explanations or [], options)
     if options.render is not None:
         _render(pair, options.render, options)

@@ -31,7 +31,7 @@ class TrendOptions(RunOptions, JsonOptions, EngineOptions):
         junit: write the trends as JUnit XML for CI.
         table: write one row per recording to a table.
         output: write a page that plays A and B, with explanations of the difference on the
-            timeline; with --baseline, a page that shows the trends.
+            timeline, or a report (.md); with --baseline, a page that shows the trends.
         as_json: print the result as JSON.
         quiet: print no table and no progress bar.
     """
@@ -42,7 +42,9 @@ class TrendOptions(RunOptions, JsonOptions, EngineOptions):
     limit: Annotated[Positive, Option("PERCENT")] = 50.0
     junit: Annotated[Path | None, ending(".xml"), Option("OUT.xml")] = None
     table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
+    output: Annotated[
+        Path | None, ending(".html", ".md"), Option("OUT.html", ("-o", "--output"))
+    ] = None
     quiet: bool = False
 
 
