@@ -135,7 +135,7 @@ def measure(browser: Any, joints: int) -> None:
 # until the frame is drawn.
 _FRAMES = """() => {
     const { stage } = player, gl = stage.renderer.getContext(), pixel = new Uint8Array(4);
-    const { robots, arrows, items, floor } = stage, all = [arrows.mesh, items.group, floor];
+    const { robots, items, floor } = stage, all = [items.group, floor];
     const time = (draw) => {
         const took = [];
         for (let k = 0; k < 25; k++) {

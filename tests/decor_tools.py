@@ -11,8 +11,9 @@ from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.assemble.world import World
 from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
+from sero_mj.viewer.decor.arrow_shapes import BANDS, HEAD, RATIOS, SHAFT, shapes
 from sero_mj.viewer.decor.draw import Decor
-from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
+from sero_mj.viewer.decor.geom_buffer import FIRST_SHAPE, GeomBuffer, Kind
 from sero_mj.viewer.decor.image_view import ImageView
 from sero_mj.viewer.decor.status import Status
 from sero_mj.viewer.decor.toggles import Toggles
@@ -102,6 +103,48 @@ def belonging(buffer: GeomBuffer, kind: Kind, item: int | None = None) -> Any:
     if item is not None:
         these &= buffer.items[: buffer.count] == item
     return buffer.rows[: buffer.count][these]
+
+
+def shape_index(rows: Any) -> Any:
+    """Returns the indices of the meshes of arrows and axes."""
+    assert (rows["type"] == int(GEOM.mjGEOM_MESH)).all()
+    return rows["dataid"] - FIRST_SHAPE
+
+
+def rounds(rows: Any) -> Any:
+    """Returns the rows of round arrows, without their dark bands."""
+    return rows[(rows["dataid"] >= FIRST_SHAPE) & (rows["dataid"] < FIRST_SHAPE + BANDS)]
+
+
+def bands(rows: Any) -> Any:
+    return rows[(rows["dataid"] >= FIRST_SHAPE + BANDS) & (rows["dataid"] < FIRST_SHAPE + SHAFT)]
+
+
+def heads(rows: Any) -> Any:
+    """Returns the rows of the heads of straight arrows."""
+    return rows[rows["dataid"] == FIRST_SHAPE + HEAD]
+
+
+def width_of(row: Any) -> float:
+    """Returns the maximum width of the tube of a round arrow, m."""
+    return float(row["size"][2] * RATIOS[int(shape_index(row))])
+
+
+def length_of(pair: Any) -> float:
+    """Returns the length of a straight arrow, a shaft and a head, m."""
+    return float(np.linalg.norm(tip_of(pair) - pair["pos"][0]))
+
+
+def tip_of(pair: Any) -> Any:
+    _, head = pair
+    assert shape_index(pair).tolist() == [SHAFT, HEAD]
+    return (head["pos"] + head["mat"][:, 2] * head["size"][2]).astype(float)
+
+
+def vertices_of(row: Any) -> Any:
+    """Returns the vertices of an arrow or axis in the world, shape (v, 3), m."""
+    vertices, _ = shapes()[int(shape_index(row))]
+    return row["pos"] + (vertices * row["size"]) @ row["mat"].astype(float).T
 
 
 def rectangle(view: ImageView, row: Any) -> tuple[Any, Any]:

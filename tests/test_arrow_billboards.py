@@ -9,12 +9,14 @@ from decor_tools import (
     GEOM,
     belonging,
     labels,
+    length_of,
     look,
     of_kind,
     rectangle,
     texts_in,
     toggles_of,
     view_at,
+    width_of,
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -301,8 +303,8 @@ def test_stated_scale_equals_the_drawn_size(scale: float, turns: bool) -> None:
         round(value / 10 ** np.floor(np.log10(value) + 1e-9))
     )
     world.set_input(data, "v.vector", [0, value * 0.6, value * 0.8])
-    first = belonging(draw(world, data, cards=False), Kind.VECTOR)[0]
-    drawn = 2 * first["size"][2] if turns else first["size"][2] / 2
+    rows = belonging(draw(world, data, cards=False), Kind.VECTOR)
+    drawn = width_of(rows[0]) if turns else length_of(rows)
     assert 1e3 * drawn == pytest.approx(millimetres, rel=1e-4)
 
 

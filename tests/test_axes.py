@@ -35,7 +35,7 @@ def test_axes_are_drawn_at_base_joints_and_flange_along_x_y_z() -> None:
             direction = frame[:3, axis]
             bar = bars[axis]
             assert bar["mat"][:, 2] == pytest.approx(direction, abs=1e-6)
-            start = bar["pos"] - bar["mat"][:, 2] * bar["size"][2]
+            start = bar["pos"]
             end = bar["pos"] + bar["mat"][:, 2] * bar["size"][2]
             assert start == pytest.approx(frame[:3, 3], abs=1e-6)
             # Frames at one place are nested, the earlier ones longer.
@@ -57,9 +57,9 @@ def test_objects_of_shape_axes_are_always_shown() -> None:
     assert len(rows) == 3
     robot = world.robots["lwr"].robot
     tcp = robot.fwd_kin_base_to_flange(POSE) @ tool.frame
-    assert rows["pos"][2] == pytest.approx(tcp[:3, 3] + 0.05 * tcp[:3, 2], abs=1e-6)
+    assert rows["pos"][2] == pytest.approx(tcp[:3, 3], abs=1e-6)
     fixed = World(Scene(objects=[tool], floor=False))
-    assert drawn(fixed)["pos"][0] == pytest.approx([0.05, 0, 0.2], abs=1e-6)
+    assert drawn(fixed)["pos"][0] == pytest.approx([0, 0, 0.2], abs=1e-6)
 
 
 def frames_world(*frames: ReceivedFrame, **fields) -> World:
@@ -83,7 +83,7 @@ def sizes(buffer, item: int) -> tuple[float, float]:
     assert len(bars) == 3
     assert np.ptp(bars["size"], axis=0).max() == 0
     assert bars["size"][0, 0] == bars["size"][0, 1]
-    return 2 * float(bars["size"][0, 2]), float(bars["size"][0, 0])
+    return float(bars["size"][0, 2]), float(bars["size"][0, 0]) / 2
 
 
 def test_coincident_frames_are_nested_by_length_and_thickness() -> None:
@@ -156,7 +156,7 @@ def tips_picked(world: World, rotations, eye) -> list[int]:
         length, half_width = sizes(buffer, k)
         names = []
         for axis in range(3):
-            tip = np.array([0, 0, 0.6]) + 0.985 * length * R[:, axis]
+            tip = np.array([0, 0, 0.6]) + 0.92 * length * R[:, axis]  # on the head
             sides = [sign * R[:, a] for a in range(3) if a != axis for sign in (1, -1)]
             towards = max(sides, key=lambda n: n @ (np.array(eye) - tip))
             (x, y), _ = view.project(tip + half_width * towards)
@@ -229,8 +229,8 @@ def check_bars(bars, T, length: float, alpha: float) -> None:
     assert len(bars) == 3
     for axis, bar in enumerate(bars):
         assert bar["mat"][:, 2] == pytest.approx(T[:3, axis], abs=1e-6)
-        assert bar["pos"] == pytest.approx(T[:3, 3] + length / 2 * T[:3, axis], abs=1e-6)
-        assert bar["size"][2] == pytest.approx(length / 2, rel=1e-5)
+        assert bar["pos"] == pytest.approx(T[:3, 3], abs=1e-6)
+        assert bar["size"][2] == pytest.approx(length, rel=1e-5)
         assert bar["rgba"] == pytest.approx([*AXIS_RGB[axis], alpha], rel=1e-5)
 
 

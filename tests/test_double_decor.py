@@ -10,9 +10,11 @@ from decor_tools import (
     of_kind,
     rigid,
     texts_in,
+    tip_of,
     toggles_of,
     turned,
     view_at,
+    width_of,
 )
 
 from sero_mj.data.drive.place import Placer
@@ -25,7 +27,7 @@ from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import CAPACITY, GeomBuffer, Kind
 from sero_mj.viewer.decor.panels import PANEL_RGBA
 from sero_mj.viewer.decor.quantities import jacobian
-from sero_mj.viewer.decor.round_arrows import NEGATIVE_RGBA, POSITIVE_RGBA
+from sero_mj.viewer.decor.round_arrows import FULL_WIDTH, NEGATIVE_RGBA, POSITIVE_RGBA
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
@@ -61,10 +63,6 @@ def texts_of(world: World) -> list[str]:
     return labels(buffer.rows[: buffer.count])
 
 
-def arrows_of(buffer: GeomBuffer, joints) -> list[np.ndarray]:
-    return [of_kind(belonging(buffer, Kind.ARROW, joint), GEOM.mjGEOM_BOX) for joint in joints]
-
-
 @pytest.mark.parametrize("target", [TARGET, POSE])  # also where the robot hides its links
 def test_arrows_are_at_the_joints_of_the_target_pose(target: np.ndarray) -> None:
     world = world_with(goal(joint_angles=target, torques=TORQUES, show_arrows=True))
@@ -73,16 +71,18 @@ def test_arrows_are_at_the_joints_of_the_target_pose(target: np.ndarray) -> None
     buffer = draw(world)
     assert set(buffer.kinds[: buffer.count]) == {Kind.ARROW}
     limit = robot.torque_limits
-    for joint, boxes in enumerate(arrows_of(buffer, range(7, 14))):
+    for joint in range(7):
+        (arrow,) = belonging(buffer, Kind.ARROW, 7 + joint)
         frame = frames[joint + 1]
-        out = boxes["pos"] - (frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint])
-        assert np.abs(out @ frame[:3, 2]).max() < 1e-6
-        smaller = np.full(len(boxes), 0.85 * 0.1)
-        assert np.linalg.norm(out, axis=1) == pytest.approx(smaller, abs=1e-6)
+        centre = frame[:3, 3] + frame[:3, :3] @ robot.offsets[joint]
+        assert arrow["pos"] == pytest.approx(centre, abs=1e-6)
+        axis = np.sign(TORQUES[joint]) * frame[:3, 2]
+        assert arrow["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
+        assert arrow["size"][:2] == pytest.approx([0.85 * 0.1] * 2)
         colour = POSITIVE_RGBA if TORQUES[joint] > 0 else NEGATIVE_RGBA
-        assert boxes["rgba"] == pytest.approx(np.tile([*colour[:3], 0.55], (len(boxes), 1)))
-        width = 0.085 * np.sqrt(abs(TORQUES[joint]) / limit[joint])
-        assert 2 * boxes["size"][0, 2] == pytest.approx(width, rel=1e-5)
+        assert arrow["rgba"] == pytest.approx([*colour[:3], 0.55])
+        width = FULL_WIDTH * 0.085 * np.sqrt(abs(TORQUES[joint]) / limit[joint])
+        assert width_of(arrow) == pytest.approx(width, rel=1e-5)
 
 
 def test_arrows_of_a_double_rotate_as_fast_as_those_of_a_robot() -> None:
@@ -96,8 +96,8 @@ def test_arrows_of_a_double_rotate_as_fast_as_those_of_a_robot() -> None:
         world.set_input(data, "goal.joint_angles", q)
         # The joint's frame if it did not rotate; all joints before it are fixed.
         axis_frame = robot.dh.frames(np.where(np.arange(7) == 3, 0.0, q), BASE)[4]
-        first = belonging(draw(world, data, time=0.25 * k), Kind.ARROW, 7 + 3)["pos"][0]
-        x, y, _ = axis_frame[:3, :3].T @ (first - axis_frame[:3, 3])
+        first = belonging(draw(world, data, time=0.25 * k), Kind.ARROW, 7 + 3)["mat"][0]
+        x, y, _ = axis_frame[:3, :3].T @ first[:, 0]
         angles.append(np.arctan2(y, x))
     speed = np.diff(np.unwrap(angles)) / 0.25
     assert speed == pytest.approx(np.full(5, np.sign(TORQUES[3]) * TURNING), abs=1e-3)
@@ -116,12 +116,12 @@ def test_arrows_of_a_standard_table_surround_the_axes_before_the_links() -> None
     double = Double(name="goal", of="arm", joint_angles=q, torques=[3, -4, 5], show_arrows=True)
     buffer = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
     frames = robot.dh.frames(q, BASE)
-    for joint, boxes in enumerate(arrows_of(buffer, range(3, 6))):
+    for joint in range(3):
+        (arrow,) = belonging(buffer, Kind.ARROW, 3 + joint)
         centre = frames[joint] @ [0, 0, robot.dh.d[joint], 1]  # the radius of the housing
-        out = boxes["pos"] - centre[:3]
-        assert len(boxes) > 9
-        assert np.abs(out @ frames[joint][:3, 2]).max() < 1e-6
-        assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(len(boxes), 0.17), abs=1e-6)
+        assert arrow["pos"] == pytest.approx(centre[:3], abs=1e-6)
+        assert abs(arrow["mat"][:, 2] @ frames[joint][:3, 2]) == pytest.approx(1.0, abs=1e-6)
+        assert arrow["size"][0] == pytest.approx(0.17)
 
 
 def test_prismatic_joint_of_a_double_has_a_straight_arrow() -> None:
@@ -131,12 +131,12 @@ def test_prismatic_joint_of_a_double_has_a_straight_arrow() -> None:
     )  # fmt: skip
     double = Double(name="goal", of="arm", joint_angles=[0.5], torques=[-4], show_arrows=True)
     buffer = draw(World(Scene(robots=[robot], doubles=[double], floor=False)))
-    (row,) = belonging(buffer, Kind.ARROW, 1)
+    pair = belonging(buffer, Kind.ARROW, 1)
     frame = robot.dh.frames([0.5])[1]
-    assert row["mat"][:, 2] == pytest.approx(-frame[:3, 2], abs=1e-6)
-    middle = row["pos"] + row["mat"][:, 2] * (row["size"][2] / 4)
+    assert pair["mat"][0][:, 2] == pytest.approx(-frame[:3, 2], abs=1e-6)
+    middle = (pair["pos"][0] + tip_of(pair)) / 2
     assert np.linalg.norm(middle - frame[:3, 3]) == pytest.approx(0.17, rel=1e-5)
-    assert row["rgba"] == pytest.approx([*NEGATIVE_RGBA[:3], 0.55])
+    assert pair["rgba"] == pytest.approx(np.tile([*NEGATIVE_RGBA[:3], 0.55], (2, 1)))
 
 
 def test_billboards_of_a_double_name_the_joint_and_are_tinted() -> None:
@@ -200,8 +200,7 @@ def test_axes_are_at_the_links_and_flange_of_a_double() -> None:
     for name, frame in zip(names, frames, strict=True):
         bars = belonging(buffer, Kind.AXES, world.frames.names.index(name))
         for axis in range(3):
-            start = bars[axis]["pos"] - bars[axis]["mat"][:, 2] * bars[axis]["size"][2]
-            assert start == pytest.approx(frame[:3, 3], abs=1e-6)
+            assert bars[axis]["pos"] == pytest.approx(frame[:3, 3], abs=1e-6)
             assert bars[axis]["mat"][:, 2] == pytest.approx(frame[:3, axis], abs=1e-6)
             assert bars[axis]["rgba"] == pytest.approx([*AXIS_RGB[axis], 0.4])
 

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import examples
-from decor_tools import of_kind, toggles_of, view_at, world_of
+from decor_tools import belonging, of_kind, toggles_of, vertices_of, view_at, world_of
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -263,10 +263,10 @@ def test_click_on_an_arrow_shows_its_precise_values() -> None:
     data, view = world.make_data(), view_at()
     decor = Decor(world)
     buffer = decor.draw(data, toggles, view)
-    boxes = (buffer.kinds[: buffer.count] == Kind.ARROW).nonzero()[0]
-    depth = (buffer.rows["pos"][boxes] - view.position) @ view.forward
-    front = boxes[np.argmin(depth)]
-    (x, y), _ = view.project(buffer.rows["pos"][front].astype(float))
+    (arrow,) = belonging(buffer, Kind.ARROW)
+    vertices = vertices_of(arrow)
+    depth = (vertices - view.position) @ view.forward
+    (x, y), _ = view.project(vertices[np.argmin(depth)])
     found = pick(world, data, buffer, view, (float(x), float(y)))
     assert found is not None
     assert (found.kind, found.name, found.index) == ("arrow", "lwr/E1", 2)

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import raises_with
-from decor_tools import GEOM, belonging, labels, look, of_kind
+from decor_tools import belonging, labels, look, width_of
 from foreign_models import arm, compiled, jaco
 
 import sero_mj
@@ -17,6 +17,7 @@ from sero_mj.robots.assemble.world import World
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.image_view import ImageView
+from sero_mj.viewer.decor.round_arrows import FULL_WIDTH
 from sero_mj.viewer.decor.toggles import Toggles
 
 EVERYWHERE = look((2.0, -2.0, 1.5), (0.0, 0.0, 0.4))
@@ -44,17 +45,13 @@ def test_arrows_are_at_the_joints_and_rotate_about_their_axes() -> None:
     geoms = drawn(overlay)
     radius = overlay.world.joints.arrow_radius
     for item, name in enumerate(("turn", "lift", "elbow")):
-        boxes = of_kind(belonging(geoms, Kind.ARROW, item), GEOM.mjGEOM_BOX)
+        (arrow,) = belonging(geoms, Kind.ARROW, item)
         joint = data.joint(name)
-        out = boxes["pos"] - joint.xanchor
-        assert np.linalg.norm(out, axis=1) == pytest.approx(radius[item], rel=1e-5)
-        assert out @ joint.xaxis == pytest.approx(0.0, abs=1e-6)  # in the plane of rotation
-        assert boxes["mat"][:, :, 2] == pytest.approx(
-            np.tile(joint.xaxis, (len(boxes), 1)), abs=1e-6
-        )
-        # From tail to head by the right-hand rule, or opposite to it.
-        turn = np.cross(out[:-1], out[1:]) @ joint.xaxis
-        assert (np.sign(turn) == np.sign(joint.qfrc_actuator)).all()
+        assert arrow["pos"] == pytest.approx(joint.xanchor, abs=1e-6)
+        assert arrow["size"][:2] == pytest.approx(radius[item], rel=1e-5)
+        # It rotates by the right-hand rule, or opposite to it.
+        axis = np.sign(joint.qfrc_actuator) * joint.xaxis
+        assert arrow["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
 
 
 def test_widths_and_colors_follow_the_actuator_torques() -> None:
@@ -65,19 +62,19 @@ def test_widths_and_colors_follow_the_actuator_torques() -> None:
     assert torque == pytest.approx([-15.0, 18.0, 5.0, 0.4])
     radius, geoms = overlay.world.joints.arrow_radius, drawn(overlay)
     for item, limit in enumerate((20.0, 60.0, 15.0)):
-        tail = belonging(geoms, Kind.ARROW, item)[0]
-        expected = radius[item] * np.sqrt(abs(torque[item]) / limit)
-        assert 2 * tail["size"][2] == pytest.approx(expected, rel=1e-5)
-        assert (tail["rgba"][0] > tail["rgba"][2]) == (torque[item] > 0)  # orange, or blue
+        arrow = belonging(geoms, Kind.ARROW, item)[0]
+        expected = FULL_WIDTH * radius[item] * np.sqrt(abs(torque[item]) / limit)
+        assert width_of(arrow) == pytest.approx(expected, rel=1e-5)
+        assert (arrow["rgba"][0] > arrow["rgba"][2]) == (torque[item] > 0)  # orange, or blue
 
 
 def test_full_width_without_a_limit_is_the_gravity_load() -> None:
     model, data = arm()
     overlay = sero_mj.overlay(model, data)
     overlay.set("arm.torques", [0, 0, 0, 0.1 * 9.81])  # the weight of the sliding part
-    straight = of_kind(belonging(drawn(overlay), Kind.ARROW, 3), GEOM.mjGEOM_ARROW)[0]
+    shaft, _ = belonging(drawn(overlay), Kind.ARROW, 3)
     radius = overlay.world.joints.arrow_radius[3]
-    assert 4 * straight["size"][0] == pytest.approx(radius, rel=1e-5)
+    assert shaft["size"][0] == pytest.approx(FULL_WIDTH * radius, rel=1e-5)
 
 
 def test_arrow_of_a_prismatic_joint_moves_with_its_link() -> None:
@@ -96,7 +93,7 @@ def test_arrow_rotates_at_constant_speed_regardless_of_its_joint() -> None:
     for elbow in (0.0, 0.5, 2.0):
         model, data = arm(lift=0.3, elbow=elbow)
         geoms = drawn(sero_mj.overlay(model, data))
-        tail = belonging(geoms, Kind.ARROW, 2)["pos"][0] - data.joint("elbow").xanchor
+        tail = belonging(geoms, Kind.ARROW, 2)["mat"][0][:, 0].astype(float)
         tails.append(tail @ data.body("upper").xmat.reshape(3, 3))
     assert tails[1] == pytest.approx(tails[0], abs=1e-6)
     assert tails[2] == pytest.approx(tails[0], abs=1e-6)
@@ -165,10 +162,9 @@ def test_every_robot_of_a_model_has_its_own_joints() -> None:
     overlay.set("jaco1.torques", {"joint_2": 20.0})
     geoms = drawn(overlay)
     assert set(geoms.items[: geoms.count][geoms.kinds[: geoms.count] == Kind.ARROW]) == {9 + 1}
-    boxes = of_kind(belonging(geoms, Kind.ARROW, 10), GEOM.mjGEOM_BOX)
-    at = boxes["pos"].astype(float)
-    distance = np.linalg.norm(at - data.joint("jaco1/joint_2").xanchor, axis=1)
-    assert distance == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
+    (arrow,) = belonging(geoms, Kind.ARROW, 10)
+    assert arrow["pos"] == pytest.approx(data.joint("jaco1/joint_2").xanchor, abs=1e-6)
+    assert arrow["size"][0] == pytest.approx(overlay.world.joints.arrow_radius[10], rel=1e-5)
 
 
 def test_values_that_are_set_are_shown_until_cleared() -> None:
@@ -255,8 +251,8 @@ def test_axes_are_drawn_at_bodies_and_requested_sites() -> None:
         assert len(bars) == 3
         for axis, bar in enumerate(bars):
             direction = rotation.reshape(3, 3)[:, axis]
-            middle = position + direction * bar["size"][2]
-            assert bar["pos"] == pytest.approx(middle, abs=1e-6)
+            assert bar["mat"][:, 2] == pytest.approx(direction, abs=1e-6)
+            assert bar["pos"] == pytest.approx(position, abs=1e-6)
         assert overlay.frame(overlay.world.frames.names[item])[:3, 3] == pytest.approx(position)
 
 
@@ -294,9 +290,9 @@ def test_joint_without_torque_limit_has_the_same_singularity_arrow_width() -> No
     assert np.isinf(joints.torque_limit).all() and np.isfinite(joints.acceleration_limit).all()
     overlay.set("arm.joint_accelerations", joints.acceleration_limit / 4)
     geoms = drawn(overlay)
-    for item in range(3):  # half the radius at a quarter of the limit
-        width = 2 * belonging(geoms, Kind.ARROW, item)[0]["size"][2]
-        assert width == pytest.approx(joints.arrow_radius[item] / 2, rel=1e-5)
+    for item in range(3):  # half the full width at a quarter of the limit
+        width = width_of(belonging(geoms, Kind.ARROW, item)[0])
+        assert width == pytest.approx(FULL_WIDTH * joints.arrow_radius[item] / 2, rel=1e-5)
 
 
 def chain_overlay(count: int) -> tuple[sero_mj.Overlay, Any]:

@@ -88,7 +88,7 @@ def test_legend_has_the_scale_of_an_arrow_while_it_is_visible() -> None:
     found = capture(scene, fps=10, begin=0.5, seconds=3.0)
     assert set(found.notes) == {"a note"}
     is_told = np.array(["push: 80 mm long = 20 N" in text for text in found.legend])
-    (push,) = [item for item in found.items if item.kind == Kind.VECTOR]
+    push, _ = [item for item in found.items if item.kind == Kind.VECTOR]  # shaft and head
     assert np.array_equal(is_told, push.visible)
     assert 0 < is_told.sum() < found.frames and not is_told[-1]
     assert all("round arrows: joint torque\n" in text for text in found.legend)

@@ -5,7 +5,20 @@ from typing import Any
 import numpy as np
 import pytest
 from conftest import examples
-from decor_tools import GEOM, belonging, of_kind, rigid, toggles_of, turned, view_at
+from decor_tools import (
+    bands,
+    belonging,
+    heads,
+    length_of,
+    rigid,
+    rounds,
+    tip_of,
+    toggles_of,
+    turned,
+    vertices_of,
+    view_at,
+    width_of,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -17,7 +30,6 @@ from sero_mj.robots.declared.robot import SerialRobot
 from sero_mj.robots.declared.scene import Scene
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
-from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.smart_arrows import frames_along
 
 POSE = np.array([0.3, -0.7, 0.4, 1.2, -0.5, 0.8, 0.2])
@@ -25,7 +37,6 @@ TARGET = np.array([-0.4, 0.9, 0.1, -1.1, 0.6, 0.5, -0.3])
 BASE = rigid(turned([1, 2, 3], 0.9), [0.2, -0.3, 0.4])
 VECTOR = np.array([3.0, -4.0, 12.0])  # 13 long
 POINT = [0.4, -0.1, 0.9]
-TURNING = 1.6  # rad/s
 AXIS_ALIGNED = [sign * row for sign in (1.0, -1.0) for row in np.eye(3)]
 
 
@@ -65,13 +76,9 @@ def draw(world: World, data=None, *, toggles=None, time: float = 0.0) -> GeomBuf
     return Decor(world).draw(data, toggles, view_at())
 
 
-def tip_of(row: Any) -> Any:
-    return row["pos"] + row["mat"][:, 2] * row["size"][2] / 2
-
-
-def distance_of_ends(row: Any, point: Any) -> float:
+def distance_of_ends(pair: Any, point: Any) -> float:
     """Returns the distance of a point from the closer end of a straight arrow, m."""
-    return min(float(np.linalg.norm(end - point)) for end in (row["pos"], tip_of(row)))
+    return min(float(np.linalg.norm(end - point)) for end in (pair["pos"][0], tip_of(pair)))
 
 
 def test_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
@@ -82,17 +89,17 @@ def test_arrow_whose_head_would_be_inside_a_link_ends_at_its_point() -> None:
     def drawn(*vector: float) -> Any:
         world.set_input(data, "push.vector", vector)
         buffer = decor.draw(data, toggles, view_at())
-        (row,) = belonging(buffer, Kind.VECTOR, 0)
-        assert row["mat"][:, 2] @ world.frame(data, "lwr/flange")[:3, :3] == pytest.approx(
+        pair = belonging(buffer, Kind.VECTOR, 0)
+        assert pair["mat"][0][:, 2] @ world.frame(data, "lwr/flange")[:3, :3] == pytest.approx(
             np.array(vector) / np.linalg.norm(vector), abs=1e-6
         )
-        return row
+        return pair
 
-    assert drawn(0, 0, 20.0)["pos"] == pytest.approx(flange, abs=1e-6)  # away from the hand
+    assert drawn(0, 0, 20.0)["pos"][0] == pytest.approx(flange, abs=1e-6)  # away from the hand
     assert tip_of(drawn(0, 0, -20.0)) == pytest.approx(flange, abs=1e-6)
     # Neither end is inside: it is unchanged until its head is well outside.
     assert tip_of(drawn(0, 10.0, -20.0)) == pytest.approx(flange, abs=1e-6)
-    assert drawn(0, 40.0, 0)["pos"] == pytest.approx(flange, abs=1e-6)
+    assert drawn(0, 40.0, 0)["pos"][0] == pytest.approx(flange, abs=1e-6)
 
 
 @pytest.mark.slow
@@ -117,22 +124,19 @@ def test_arrow_is_at_its_frame_and_points_along_its_components(kind: str, at, ex
     world = world_with(arrow)
     buffer = draw(world)
     rows = belonging(buffer, Kind.VECTOR, 0)
-    assert len(rows) == buffer.count == (1 if kind == "force" else ARROW_GEOMS)
+    assert len(rows) == buffer.count == (2 if kind == "force" else 1)
     start = np.array(at) if isinstance(at, list) else frame_by_hand(world, at)[:3, 3]
     default = "world" if isinstance(at, list) else at
     direction = frame_by_hand(world, expressed_in or default)[:3, :3] @ VECTOR / 13.0
-    rows = rows[rows["type"] != GEOM.mjGEOM_TRIANGLE]
     for row in rows:
         assert row["mat"][:, 2] == pytest.approx(direction, abs=1e-6)
         assert row["mat"].T @ row["mat"] == pytest.approx(np.eye(3), abs=1e-5)
         assert np.linalg.det(row["mat"]) == pytest.approx(1.0, abs=1e-5)
     if kind == "force":
-        assert distance_of_ends(rows[0], start) == pytest.approx(0, abs=1e-6)
+        assert distance_of_ends(rows, start) == pytest.approx(0, abs=1e-6)
         return
-    out = rows["pos"] - start
-    assert np.abs(out @ direction).max() < 1e-6
-    assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(18, 0.12), abs=1e-6)
-    assert rows["mat"][:, :, 0] * 0.12 == pytest.approx(out, abs=1e-6)  # thickness outward
+    assert rows["pos"][0] == pytest.approx(start, abs=1e-6)
+    assert rows["size"][0, :2] == pytest.approx([0.12, 0.12])
 
 
 @pytest.mark.parametrize(
@@ -148,12 +152,9 @@ def test_every_kind_has_its_color_scale_and_shape(kind: str, scale: float, rgba)
     vector = np.array([0.0, 0.03, 0.04]) / scale  # drawn 50 mm long or wide
     rows = belonging(draw(world_with(SmartArrow(name="v", kind=kind, at=POINT, vector=vector))), 5)
     turns = kind in ("torque", "angular_velocity")
-    assert len(rows) == (ARROW_GEOMS if turns else 1)
-    shapes = {GEOM.mjGEOM_BOX, GEOM.mjGEOM_TRIANGLE} if turns else {GEOM.mjGEOM_ARROW}
-    assert set(rows["type"].tolist()) == {int(shape) for shape in shapes}
+    assert len(rows) == (1 if turns else 2)
     assert rows["rgba"] == pytest.approx(np.tile(rgba, (len(rows), 1)))
-    # MuJoCo draws an arrow half as long as its size.
-    drawn = 2 * rows["size"][0, 2] if turns else rows["size"][0, 2] / 2
+    drawn = width_of(rows[0]) if turns else length_of(rows)
     assert drawn == pytest.approx(0.05, rel=1e-5)
     assert (rows["label"] == b"").all()
 
@@ -161,10 +162,12 @@ def test_every_kind_has_its_color_scale_and_shape(kind: str, scale: float, rgba)
 @pytest.mark.parametrize("length", [0.01, 0.08, 0.2, 0.4])
 def test_length_is_scale_times_magnitude_and_thickness_is_limited(length: float) -> None:
     arrow = SmartArrow(name="push", at=POINT, scale=0.02, vector=VECTOR / 13 * length / 0.02)
-    (row,) = belonging(draw(world_with(arrow)), Kind.VECTOR)
-    assert row["size"][2] / 2 == pytest.approx(length, rel=1e-5)
-    half = min(max(0.045 * length, 0.004), 0.012)
-    assert row["size"][:2] == pytest.approx([half, half], rel=1e-5)
+    pair = belonging(draw(world_with(arrow)), Kind.VECTOR)
+    assert length_of(pair) == pytest.approx(length, rel=1e-5)
+    width = min(max(0.09 * length, 0.008), 0.024)
+    assert pair["size"][0, :2] == pytest.approx([width, width], rel=1e-5)
+    assert 2 * width < pair["size"][1, 0] < 3 * width
+    assert pair["size"][1, 2] == pytest.approx(min(2.9 * width, length / 2), rel=1e-5)
 
 
 @pytest.mark.parametrize("longest", [None, 0.25])
@@ -176,30 +179,31 @@ def test_straight_arrow_is_limited_to_longest_and_then_dark(longest: float | Non
         arrow = SmartArrow(
             name="v", at=POINT, scale=0.5, longest=longest, rgba=own, vector=vector
         )  # fmt: skip
-        (row,) = belonging(draw(world_with(arrow)), Kind.VECTOR)
-        assert row["size"][2] / 2 == pytest.approx(length * limit, rel=1e-5)
-        assert row["rgba"] == pytest.approx([*(bright * own[:3]), 0.8])
-        assert row["mat"][:, 2] == pytest.approx([0, -1, 0], abs=1e-6)
+        pair = belonging(draw(world_with(arrow)), Kind.VECTOR)
+        assert length_of(pair) == pytest.approx(length * limit, rel=1e-5)
+        for row in pair:
+            assert row["rgba"] == pytest.approx([*(bright * own[:3]), 0.8])
+            assert row["mat"][:, 2] == pytest.approx([0, -1, 0], abs=1e-6)
 
 
 @pytest.mark.parametrize(("longest", "limit"), [(None, 0.25), (0.125, 0.125)])
 def test_round_arrow_is_limited_to_longest_and_then_striped(longest, limit) -> None:
-    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 9), (9.0, 1.0, 9)):
+    for size, width, stripes in ((0.5, 0.5, 0), (1.0, 1.0, 0), (1.01, 1.0, 1), (9.0, 1.0, 1)):
         arrow = SmartArrow(
             name="turn", kind="torque", at=POINT, radius=0.25, scale=0.5, longest=longest,
             vector=[2 * size * limit, 0, 0],
         )  # fmt: skip
         rows = belonging(draw(world_with(arrow)), Kind.VECTOR)
-        tail, heads = of_kind(rows, GEOM.mjGEOM_BOX), of_kind(rows, GEOM.mjGEOM_TRIANGLE)
-        assert 2 * tail["size"][:, 2] == pytest.approx(np.full(18, width * limit), rel=1e-5)
-        backs = np.linalg.norm(heads["size"][[0, 26, 52], :2], axis=1)  # over the barbs
-        assert (backs > width * limit).all()
-        dark = (tail["rgba"][:, :3] < 0.1).all(axis=1)
-        assert dark.sum() == stripes
-        assert not dark[::2].any()  # every other box
-        assert (heads["rgba"][:, :3] < 0.1).all(axis=1).sum() == (24 if stripes else 0)
-        out = tail["pos"] - POINT
-        assert np.linalg.norm(out, axis=1) == pytest.approx(np.full(18, 0.25), abs=1e-6)
+        (arrow,) = rounds(rows)
+        assert width_of(arrow) == pytest.approx(width * limit, rel=1e-5)
+        assert np.ptp(vertices_of(arrow)[:, 0]) > width * limit  # over the barbs
+        assert arrow["rgba"][:3] == pytest.approx((0.50, 0.16, 0.72))
+        dark = bands(rows)
+        assert len(dark) == stripes
+        for band in dark:
+            assert (band["rgba"][:3] < 0.1).all()
+            for field in ("pos", "mat", "size"):
+                assert (band[field] == arrow[field]).all()
 
 
 @pytest.mark.parametrize("kind", ["force", "torque"])
@@ -277,23 +281,19 @@ def test_force_and_torque_of_any_direction_are_drawn_by_the_right_hand_rule(
     frame = frame_by_hand(both, "lwr/link6")
     axis = frame[:3, :3] @ unit
     buffer = draw(both, data, time=time)
-    (straight,) = belonging(buffer, Kind.VECTOR, 0)
+    straight = belonging(buffer, Kind.VECTOR, 0)
     assert distance_of_ends(straight, frame[:3, 3]) == pytest.approx(0, abs=1e-6)
-    assert straight["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
-    assert straight["size"][2] / 2 == pytest.approx(min(0.1 * size, 0.5), rel=1e-5)
+    assert straight["mat"][0][:, 2] == pytest.approx(axis, abs=1e-6)
+    assert length_of(straight) == pytest.approx(min(0.1 * size, 0.5), rel=1e-5)
     first, later = (
-        of_kind(belonging(buffer, Kind.VECTOR, 1), GEOM.mjGEOM_BOX)["pos"].astype(float)
-        - frame[:3, 3]
-        for buffer in (buffer, draw(both, data, time=time + 0.1))
+        rounds(belonging(each, Kind.VECTOR, 1))[0]
+        for each in (buffer, draw(both, data, time=time + 0.1))
     )
-    for out, then in zip(first, later, strict=True):
-        assert np.linalg.norm(out) == pytest.approx(0.2, abs=1e-6)
-        assert abs(out @ axis) < 1e-6
-        # In a tenth of a second each box has moved by 0.16 rad about the vector.
-        sin, cos = np.cross(out, then) @ axis / 0.04, out @ then / 0.04
-        assert np.arctan2(sin, cos) == pytest.approx(TURNING * 0.1, abs=1e-4)
-    ahead = np.cross(first[:-1], first[1:]) @ axis
-    assert (ahead > 0).all()  # tail to tip in the direction of rotation
+    assert first["pos"] == pytest.approx(frame[:3, 3], abs=1e-6)
+    assert first["mat"][:, 2] == pytest.approx(axis, abs=1e-6)
+    # In a tenth of a second, it has rotated by 0.16 rad about the vector.
+    out, then = (each["mat"][:, 0].astype(float) for each in (first, later))
+    assert np.arctan2(np.cross(out, then) @ axis, out @ then) == pytest.approx(0.16, abs=1e-4)
 
 
 def test_hidden_arrow_is_not_drawn_and_a_packet_switches_it() -> None:
@@ -302,32 +302,23 @@ def test_hidden_arrow_is_not_drawn_and_a_packet_switches_it() -> None:
         SmartArrow(name="second", kind="torque", at=POINT, vector=VECTOR, show=False),
     )
     data, toggles = world.make_data(), toggles_of(world)
-    assert draw(world, data, toggles=toggles).count == 1
+    assert draw(world, data, toggles=toggles).count == 2
     toggles.vectors[:] = (False, True)
     buffer = draw(world, data, toggles=toggles)
-    assert (buffer.count, set(buffer.items[: buffer.count])) == (ARROW_GEOMS, {1})
+    assert (buffer.count, set(buffer.items[: buffer.count])) == (1, {1})
     toggles.vectors[:] = False
     assert draw(world, data, toggles=toggles).count == 0
     world.set_input(data, "second.show", 1.0)
-    assert draw(world, data, toggles=toggles).count == ARROW_GEOMS
+    assert draw(world, data, toggles=toggles).count == 1
     world.set_input(data, "second.show", 0.0)
     assert draw(world, data, toggles=toggles).count == 0
-
-
-def test_round_arrow_respects_the_geom_budget_of_its_viewer() -> None:
-    world = world_with(SmartArrow(name="turn", kind="torque", at=POINT, vector=VECTOR))
-    decor = Decor(world, 1024, 34)  # a page's budget
-    data = world.make_data()
-    Placer(world).place(data)
-    buffer = decor.draw(data, toggles_of(world), view_at())
-    assert len(belonging(buffer, Kind.VECTOR)) == 34
 
 
 def test_arrow_follows_the_robot() -> None:
     world = world_with(SmartArrow(name="push", at="lwr/flange", vector=VECTOR))
     data = world.make_data()
     world.set_input(data, "lwr.joint_angles", TARGET)
-    (row,) = belonging(draw(world, data), Kind.VECTOR)
+    row, _ = belonging(draw(world, data), Kind.VECTOR)
     flange = frame_by_hand(world, "goal/flange")  # the arrow is at the flange
     assert row["pos"] == pytest.approx(flange[:3, 3], abs=1e-6)
     assert row["mat"][:, 2] == pytest.approx(flange[:3, :3] @ VECTOR / 13, abs=1e-6)
@@ -348,10 +339,10 @@ def test_many_arrows_of_both_shapes_keep_their_own_items() -> None:
     buffer = draw(world_with(*arrows))
     for k, arrow in enumerate(arrows):
         rows = belonging(buffer, Kind.VECTOR, k)
-        assert len(rows) == (ARROW_GEOMS if arrow.is_round else 1)
-        size = 2 * rows["size"][0, 2] if arrow.is_round else rows["size"][0, 2] / 2
+        assert len(rows) == (1 if arrow.is_round else 2)
+        size = width_of(rows[0]) if arrow.is_round else length_of(rows)
         assert size == pytest.approx(0.02 * (k + 1), rel=1e-5)
         centre = rows["pos"].mean(axis=0)
         assert centre[0] == pytest.approx(0.1 * k, abs=0.05)
         assert rows["rgba"] == pytest.approx(np.tile(arrow.color, (len(rows), 1)))
-    assert len(of_kind(buffer.rows[: buffer.count], GEOM.mjGEOM_ARROW)) == 3
+    assert len(heads(buffer.rows[: buffer.count])) == 3

@@ -81,10 +81,12 @@ def test_click_on_an_arrow_shows_its_precise_values(served: Served, page: Visito
     served.ask("setattr(w.clock, 'is_paused', True)")
     served.ask("w.toggles.arrows.fill(True)")
     page.until("player.state.arrowOn.every(isOn => isOn)")
+    served.ask("setattr(w, 'shapes', __import__('sero_mj').viewer.decor.arrow_shapes.shapes())")
     place = (
-        "(lambda d, n: w.decor.view.project(d.rows['pos'][:n][(d.kinds[:n] == 1)"
-        " & (d.items[:n] == 1) & (d.rows['type'][:n] == 6)].astype(float))[0])"
-        "(w.decor.buffer, w.decor.buffer.count).tolist()"  # of boxes; a triangle's is its corner
+        "(lambda r: w.decor.view.project(r['pos'] + (w.shapes[r['dataid'] - (1 << 20)]"
+        ".vertices[::29] * r['size']) @ r['mat'].T)[0])"
+        "((lambda d, n: d.rows[:n][(d.kinds[:n] == 1) & (d.items[:n] == 1)][0])"
+        "(w.decor.buffer, w.decor.buffer.count)).tolist()"  # of vertices
     )
     seen = served.until(
         f"[(x, w.decor.view.height - y) for x, y in {place}"

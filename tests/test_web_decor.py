@@ -11,6 +11,7 @@ import mujoco
 import numpy as np
 import pytest
 from conftest import sampled
+from decor_tools import belonging
 from model_pages import drawn, overlap, page_of
 from numpy.typing import NDArray
 from plugin_tools import install
@@ -21,69 +22,35 @@ from sero_mj.base.plugins import forget_plugins
 from sero_mj.data.drive.mirror import Mirror
 from sero_mj.robots.declared.cartesian import SmartArrow
 from sero_mj.robots.declared.scene import SceneToggles
+from sero_mj.viewer.decor import arrow_shapes
 from sero_mj.viewer.decor.draw import Decor
 from sero_mj.viewer.decor.geom_buffer import GeomBuffer, Kind
 from sero_mj.viewer.decor.image_view import ImageView
-from sero_mj.viewer.decor.round_arrows import ARROW_GEOMS
 from sero_mj.viewer.decor.scene_writer import SceneWriter
 from sero_mj.viewer.decor.toggles import Toggles
 from sero_mj.viewer.image.camera import find_camera
-from sero_mj.viewer.player.capture import _ARROW_GEOMS, capture
+from sero_mj.viewer.image.mujoco_private import context_of, lend_shapes
+from sero_mj.viewer.player.capture import capture
 
 pytestmark = pytest.mark.skipif(bool(MISSING), reason=f"needs {', '.join(MISSING)}")
 
 SIZE = (1200, 800)
 OUTLINE = 0.98
-FAR = 1e-4  # m, between a vertex of a page and Python's
 LWR_LIMITS = np.array([200.0, 200.0, 100.0, 100.0, 100.0, 30.0, 30.0])
 
-# Places of the vertices of the round arrows, in their own frames, as the shader computes them.
-VERTICES = """([joints, time]) => {
+# The geoms of the arrows of joints at a time.
+ARROWS = """time => {
     player.recording.seek(time);
     player.draw();
-    const { stage } = player, { arrows } = stage;
-    const gl = document.createElement("canvas").getContext("webgl2");
-    const program = gl.createProgram();
-    const sources = [[gl.VERTEX_SHADER, `#version 300 es
-        in vec4 along; in vec3 across; uniform vec4 how; uniform float striped; out vec3 found;
-        void main() { float dark; ${arrows.formula}
-            found = transformed; gl_Position = vec4(dark); }`],
-        [gl.FRAGMENT_SHADER, "#version 300 es\\nvoid main() {}"]];
-    for (const [kind, text] of sources) {
-        const shader = gl.createShader(kind);
-        gl.shaderSource(shader, text);
-        gl.compileShader(shader);
-        if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS)) throw gl.getShaderInfoLog(shader);
-        gl.attachShader(program, shader);
-    }
-    gl.transformFeedbackVaryings(program, ["found"], gl.SEPARATE_ATTRIBS);
-    gl.linkProgram(program);
-    gl.useProgram(program);
-    const { attributes } = arrows.mesh.geometry, count = attributes.along.count;
-    for (const [name, size] of [["along", 4], ["across", 3]]) {
-        const place = gl.getAttribLocation(program, name);
-        gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
-        gl.bufferData(gl.ARRAY_BUFFER, attributes[name].array, gl.STATIC_DRAW);
-        gl.enableVertexAttribArray(place);
-        gl.vertexAttribPointer(place, size, gl.FLOAT, false, 0, 0);
-    }
-    const out = gl.createBuffer();
-    gl.bindBufferBase(gl.TRANSFORM_FEEDBACK_BUFFER, 0, out);
-    gl.bufferData(gl.TRANSFORM_FEEDBACK_BUFFER, 12 * count, gl.STATIC_READ);
-    gl.enable(gl.RASTERIZER_DISCARD);
-    const found = joints.map((joint) => {
-        const k = arrows.joints.indexOf(joint), how = arrows.how.array.slice(4 * k, 4 * k + 4);
-        gl.uniform4fv(gl.getUniformLocation(program, "how"), how);
-        gl.beginTransformFeedback(gl.POINTS);
-        gl.drawArrays(gl.POINTS, 0, count);
-        gl.endTransformFeedback();
-        const places = new Float32Array(3 * count);
-        gl.getBufferSubData(gl.TRANSFORM_FEEDBACK_BUFFER, 0, places);
-        return { places: [...places], site: [...stage.sites[joint].elements], shown: how[0] > 0 };
-    });
-    gl.getExtension("WEBGL_lose_context").loseContext();
+    const { of, count, positions, rotations, sizes, rgba } = player.recording.geoms, found = [];
+    for (let k = 0; k < count; k++) if (of[3 * k] === 1) found.push({
+        of: [...of.slice(3 * k + 1, 3 * k + 3)], pos: [...positions.slice(3 * k, 3 * k + 3)],
+        quat: [...rotations.slice(4 * k, 4 * k + 4)], size: [...sizes.slice(3 * k, 3 * k + 3)],
+        rgba: [...rgba.slice(4 * k, 4 * k + 4)] });
     return found;
 }"""
+SHAPES = """() => player.stage.run.arrows.shapes.meshes.map(
+    ({ positions, index }) => [[...positions], [...index]])"""
 
 
 @pytest.fixture
@@ -105,65 +72,44 @@ def opened(browser: Any, tmp_path: Path) -> Iterator[Callable[..., Any]]:
         one.close()
 
 
-def buffer_of(
-    world: World, data: mujoco.MjData, camera: str | None = None, most: int = ARROW_GEOMS
-) -> GeomBuffer:
-    """What Python draws, with at most so many geoms for each arrow."""
+def buffer_of(world: World, data: mujoco.MjData, camera: str | None = None) -> GeomBuffer:
+    """What Python draws."""
     scene, free = mujoco.MjvScene(world.model, 1000), find_camera(world, camera)
     everything = int(mujoco.mjtCatBit.mjCAT_ALL)
     mujoco.mjv_updateScene(world.model, data, mujoco.MjvOption(), None, free, everything, scene)
     view = ImageView.of_scene(scene, *SIZE)
-    return Decor(world, arrow_geoms=most).draw(data, Toggles(world), view)
-
-
-def corners_of(rows: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Corners of boxes (b, 8, 3) and of triangles (t, 3, 3), m."""
-    is_box = rows["type"] == int(mujoco.mjtGeom.mjGEOM_BOX)
-    boxes, heads = rows[is_box], rows[~is_box]
-    bits = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
-    own = bits * boxes["size"].astype(float)[:, None]
-    of_boxes = boxes["pos"][:, None] + np.einsum("bij,bkj->bki", boxes["mat"].astype(float), own)
-    edges = heads["mat"].astype(float) * heads["size"].astype(float)[:, None, :]
-    first = heads["pos"].astype(float)
-    ends = np.stack([first, first + edges[..., 0], first + edges[..., 1]], axis=1)
-    return of_boxes, ends
-
-
-def farthest(some: NDArray[Any], others: NDArray[Any]) -> float:
-    """Largest distance from a point to the nearest of others, both ways, m."""
-    apart = np.linalg.norm(some[:, None] - others[None], axis=2)
-    return float(max(apart.min(axis=1).max(), apart.min(axis=0).max()))
+    return Decor(world).draw(data, Toggles(world), view)
 
 
 def check_arrows(page: Any, world: World, data: mujoco.MjData, time: float) -> int:
-    """Compares all round arrows at a time (s); returns how many there are."""
+    """Compares the geoms of all arrows at a time (s); returns how many there are."""
+    rows = belonging(buffer_of(world, data), Kind.ARROW)
+    found = {tuple(each["of"]): each for each in page.evaluate(ARROWS, time)}
     buffer = buffer_of(world, data)
-    kinds, items = buffer.kinds[: buffer.count], buffer.items[: buffer.count]
-    count = 0
-    joints = [*range(len(world.joints.names))]
-    for joint, found in zip(joints, page.evaluate(VERTICES, [joints, time]), strict=True):
-        rows = buffer.rows[: buffer.count][(kinds == Kind.ARROW) & (items == joint)]
-        assert found["shown"] == bool(len(rows))
-        if not len(rows):
-            continue
-        count += 1
-        boxes, heads = corners_of(rows)
-        site = np.reshape(found["site"], (4, 4)).T
-        places = np.reshape(found["places"], (-1, 3)) @ site[:3, :3].T + site[:3, 3]
-        # Box by box and triangle by triangle: 36 and 3 vertices each.
-        of_boxes = places[: 36 * len(boxes)].reshape(-1, 36, 3)
-        of_heads = places[36 * len(boxes) :].reshape(-1, 3, 3)
-        assert of_heads.shape == heads.shape
-        assert max(farthest(a, b) for a, b in zip(of_boxes, boxes, strict=True)) < FAR
-        assert farthest(of_heads.reshape(-1, 3), heads.reshape(-1, 3)) < FAR
-    return count
+    items = buffer.items[: buffer.count][buffer.kinds[: buffer.count] == Kind.ARROW]
+    assert len(found) == len(rows)
+    for item, row in zip(items.tolist(), rows, strict=True):
+        one = found[item, int(row["dataid"])]
+        np.testing.assert_allclose(one["pos"], row["pos"], atol=1e-4)
+        mat = np.zeros(9)
+        mujoco.mju_quat2Mat(mat, np.array(one["quat"]))
+        np.testing.assert_allclose(mat, row["mat"].ravel(), atol=1e-3)
+        np.testing.assert_allclose(one["size"], row["size"], rtol=1e-4)
+        np.testing.assert_allclose(one["rgba"], 255 * row["rgba"], atol=1)
+    return len(rows)
 
 
-@pytest.mark.thorough
+def test_page_has_the_meshes_of_arrows_and_axes(opened: Callable[..., Any]) -> None:
+    page = opened(capture(Scene(robots=[SerialRobot.from_model("lwr")])))
+    found = page.evaluate(SHAPES)
+    assert len(found) == len(arrow_shapes.shapes())
+    for (positions, index), shape in zip(found, arrow_shapes.shapes(), strict=True):
+        assert np.abs(np.reshape(positions, (-1, 3)) - shape.vertices).max() < 1.5e-4
+        assert index == shape.faces.ravel().tolist()
+
+
 @pytest.mark.parametrize("sign", sampled([1.0, -1.0], 1))
-def test_round_arrow_has_the_vertices_of_the_python_geoms(
-    opened: Callable[..., Any], sign: float
-) -> None:
+def test_arrows_have_the_geoms_of_python(opened: Callable[..., Any], sign: float) -> None:
     shares = sign * np.array([0.005, 0.02, 0.1, 0.45, 1.0, 1.3, 3.0])
     robot = SerialRobot.from_model(
         "lwr", torques=shares * LWR_LIMITS, show_arrows=True,
@@ -172,7 +118,7 @@ def test_round_arrow_has_the_vertices_of_the_python_geoms(
     scene = Scene(robots=[robot])
     page = opened(capture(scene))
     world = World(scene)
-    assert check_arrows(page, world, world.make_data(), 0.0) == 7
+    assert check_arrows(page, world, world.make_data(), 0.0) == 7 + 2
 
 
 @pytest.mark.thorough
@@ -199,9 +145,9 @@ def picture_of_decor(
         option = mujoco.MjvOption()
         option.geomgroup[:] = option.sitegroup[:] = 0
         renderer.update_scene(data, find_camera(world, camera), option)
-        buffer = buffer_of(world, data, camera, _ARROW_GEOMS)
+        buffer = buffer_of(world, data, camera)
         buffer.rows["label"] = b""  # which is HTML on pages
-        SceneWriter(renderer.scene).add(buffer, with_text=False)
+        SceneWriter(renderer.scene, lend_shapes(context_of(renderer))).add(buffer, with_text=False)
         picture = renderer.render()
     return picture, picture.max(axis=-1) > 12
 

@@ -16,6 +16,8 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Bools
+from ...viewer.decor.arrow_shapes import shapes_model
+from ...viewer.decor.geom_buffer import FIRST_SHAPE
 from ...viewer.image.mujoco_private import filament
 from ...viewer.image.sky_light import linear, shown
 from .light import upload
@@ -33,11 +35,12 @@ _RGB = int(mujoco.mjtTextureRole.mjTEXROLE_RGB)
 _ROLES = int(mujoco.mjtTextureRole.mjNTEXROLE)
 _CUBE = int(mujoco.mjtTexture.mjTEXTURE_CUBE)
 SKYBOX = int(mujoco.mjtTexture.mjTEXTURE_SKYBOX)
-# Fraction of the color of arrows and axes that depends on light. The rest is emitted, so that they
+# Fraction of the color of other decor that depends on light. The rest is emitted, so that panels
 # look almost the same in any light.
 _DARK = 1 / 256
 _REFLECTANCE = 0.08  # reflectance per specular: the default specular of 0.5 gives 0.04 (plastic)
-_LIT = 0.7  # fraction of the color of doubles that depends on light; the rest is emitted
+# Fraction of the color of doubles, and of arrows and axes, that depends on light
+_LIT, _SHAPE_LIT = 0.7, 0.5
 # Filament compresses colors near white. Rows: displayed linear color, and the light it requires.
 # Source: grays and colors rendered by MuJoCo 4.0.0, with an accuracy of 2 of 255.
 _NEAR_WHITE = (
@@ -118,6 +121,7 @@ class GeomPool:
         # Keys consist of the geom type, the number of the mesh or -1, and whether objects cast
         # shadows, which cannot be changed after an object is created.
         self._pool: dict[tuple[int, int, bool], list[Any]] = {}
+        self._shapes: dict[int, Any] = {}  # meshes of arrows and axes
         self._shown: set[Any] = set()
         self._looks: dict[Any, tuple[bytes, float, int]] = {}  # last material of each object
         quality = models[0].vis.quality
@@ -153,7 +157,8 @@ class GeomPool:
             kind, geom, geoms = kinds[k], ids[k], self._models[0]
             is_own = of[k] == _GEOM and 0 <= geom < model.ngeom and model.geom_type[geom] == kind
             is_double = of[k] == _GEOM and (decor[k] or (is_own and bool(self._doubles[geom])))
-            lit = _LIT if is_double else 0.0 if decor[k] else 1.0
+            is_shape = kind == _MESH and meshes[k] >= FIRST_SHAPE
+            lit = _LIT if is_double else _SHAPE_LIT if is_shape else 0.0 if decor[k] else 1.0
             if kind == _PLANE and not is_own and len(self._models) > 1:
                 geoms, geom = self._models[1], 0  # the floor of the surroundings
                 is_own = geoms.model.ngeom > 0
@@ -192,11 +197,19 @@ class GeomPool:
             params = self._module.RenderableParams(cast_shadow=casts, receive_shadow=casts)
             item = self._context.create_renderable(params)
             if kind == _MESH:
-                item.set_mesh(self._models[0].mesh(mesh), 0, 0)
+                item.set_mesh(self._mesh(mesh), 0, 0)
             else:
                 item.set_geom_mesh(mujoco.mjtGeom(kind), *self._quality)
             pool.append(item)
         return pool[number]
+
+    def _mesh(self, index: int) -> Any:
+        if index < FIRST_SHAPE // 2:
+            return self._models[0].mesh(index)
+        shape = index - FIRST_SHAPE // 2
+        if shape not in self._shapes:
+            self._shapes[shape] = upload_mesh(self._context, shapes_model(), shape)
+        return self._shapes[shape]
 
     def _material(self, row: Any, geoms: ModelGeoms | None, geom: int, lit: float) -> Any:
         if lit < 1.0:
@@ -221,6 +234,7 @@ class GeomPool:
         self._shown.clear()
         self._looks.clear()
         self._pool.clear()
+        self._shapes.clear()
         for geoms in self._models:
             geoms.close()
         self._models.clear()

@@ -19,6 +19,7 @@ import numpy as np
 
 from ...base.frames import Bools
 from ...robots.declared.surroundings import PALETTES
+from ...viewer.decor.geom_buffer import FIRST_SHAPE
 from ...viewer.decor.scene_writer import struct_view
 from ...viewer.image.image_files import Pixels
 from ...viewer.image.image_options import Quality
@@ -53,6 +54,8 @@ class FilamentRenderer:
     Raises:
         RenderError: this version of MuJoCo has no Filament renderer.
     """
+
+    first_shape: int | None = FIRST_SHAPE
 
     def __init__(
         self,

@@ -18,6 +18,7 @@ from ...viewer.decor.image_view import ImageView
 from ...viewer.image.held_torques import HeldTorques
 from ...viewer.image.image_files import check_video, default_fps
 from ...viewer.image.image_options import VIDEO_FORMATS, ImageOptions, Quality
+from ...viewer.image.mujoco_private import context_of, lend_shapes
 from ...viewer.image.painter import Painter, perform_clicks
 from ...viewer.image.render import (
     MAX_SIDE,
@@ -67,11 +68,13 @@ class PhotoRenderer(Painter):
         self.renderer = choose_renderer(renderer, quality, *size)
         self._renderer: SceneRenderer
         if self.renderer == CLASSIC:
-            self._renderer = make_renderer(world, *size, is_draft=quality == "draft")
+            classic = self._renderer = make_renderer(world, *size, is_draft=quality == "draft")
+            classic.first_shape = lend_shapes(context_of(classic))
         else:
             self._renderer, _ = renderers()[self.renderer].make(world, *size, quality)
         self._typesetter = Typesetter(line_height(world, camera.width, camera.height))
         self.decor = SceneDecor(world, with_text=False)
+        self.decor.first_shape = self._renderer.first_shape
 
     def render(self, data: mujoco.MjData, photo: Pixels | None = None) -> Pixels:
         """Draws visual features over a photo, and returns the image (height, width, 3), uint8."""

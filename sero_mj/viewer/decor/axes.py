@@ -16,15 +16,16 @@ from numpy.typing import NDArray
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
+from .arrow_shapes import AXIS
 from .feature import Feature, Frame
-from .geom_buffer import GREY, GeomBuffer, Kind
+from .geom_buffer import FIRST_SHAPE, GREY, GeomBuffer, Kind
 from .image_view import ImageView
 from .joint_titles import frame_titles
 from .panels import Panels, labels_below
 
 # Red, green and blue in shades that also differ in lightness.
 AXIS_RGB = np.array([[0.84, 0.15, 0.16], [0.17, 0.63, 0.17], [0.12, 0.35, 0.85]], np.float32)
-_HALF_WIDTH_OF_LENGTH = 0.022
+_WIDTH_OF_LENGTH = 0.044
 _STALE_SHARE = 0.75  # fraction of gray in the color of a stale frame
 # Frames closer than the first distance coincide. Frames farther apart than the second distance do
 # not. Between both distances, sizes change continuously, which avoids flicker when frames move
@@ -80,9 +81,7 @@ def draw_axes(
 ) -> None:
     """Draws the coordinate axes of the selected frames of a world as three bars each.
 
-    Bars are boxes with 12 triangles each. Arrow geoms have about a thousand triangles and would be
-    slower to render than the robot. Both masks, `shown` and `stale`, have shape (M,). The axes of
-    stale frames are gray.
+    Both masks, `shown` and `stale`, have shape (M,). The axes of stale frames are gray.
     """
     table = world.frames
     index = (shown & (table.alpha > 0)).nonzero()[0]
@@ -92,13 +91,13 @@ def draw_axes(
     origins = data.site_xpos[sites]
     rank = ranks(origins)
     length = table.size[index] / (1.0 + _SHORTER * rank)
-    half_width = _HALF_WIDTH_OF_LENGTH * table.size[index] * (1.0 + _THICKER * rank)
+    width = _WIDTH_OF_LENGTH * table.size[index] * (1.0 + _THICKER * rank)
     rgb = AXIS_RGB
     if stale.any():
         rgb = np.repeat(AXIS_RGB[None], len(index), axis=0)
         rgb[stale[index]] += _STALE_SHARE * (np.array(GREY, np.float32) - AXIS_RGB)
     rotation = data.site_xmat[sites].reshape(-1, 3, 3)
-    draw_bars(buffer, origins, rotation, (length, half_width), rgb, table.alpha[index], index)
+    draw_bars(buffer, origins, rotation, (length, width), rgb, table.alpha[index], index)
 
 
 def draw_bars(
@@ -115,7 +114,7 @@ def draw_bars(
     Args:
         origins: origins of the frames, shape (k, 3), m.
         rotation: orientations of the frames, shape (k, 3, 3).
-        size: lengths and half widths of the bars, shape (k,) each, m.
+        size: lengths and widths of the bars, shape (k,) each, m.
         rgb: colors of the three bars, shape (3, 3) or (k, 3, 3).
         alpha: opacities of the axes, shape (k,).
         items: indices of the frames in `FrameTable`, shape (k,). If None, users cannot click the
@@ -123,16 +122,16 @@ def draw_bars(
     """
     kind = Kind.NONE if items is None else Kind.AXES
     owners = 0 if items is None else np.repeat(items, 3)
-    rows = buffer.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_BOX), kind, owners)
+    rows = buffer.take(3 * len(origins), int(mujoco.mjtGeom.mjGEOM_MESH), kind, owners)
     if not len(rows):
         return
     grid = rows.reshape(-1, 3)  # three bars per frame
-    length, half_width = size[0][:, None], size[1][:, None]
-    onto = rotation[:, None] @ ONTO_AXIS
-    grid["pos"] = origins[:, None] + onto[..., 2] * (length / 2)[..., None]
-    grid["mat"] = onto
-    grid["size"][..., :2] = half_width[..., None]
-    grid["size"][..., 2] = length / 2
+    length, width = size[0][:, None], size[1][:, None]
+    grid["dataid"] = FIRST_SHAPE + AXIS
+    grid["pos"] = origins[:, None]
+    grid["mat"] = rotation[:, None] @ ONTO_AXIS
+    grid["size"][..., :2] = width[..., None]
+    grid["size"][..., 2] = length
     grid["rgba"][..., :3] = rgb
     grid["rgba"][..., 3] = alpha[:, None]
 

@@ -18,7 +18,6 @@ from .geom_buffer import CAPACITY, GeomBuffer
 from .image_view import ImageView
 from .panels import Panels, clear_of, draw_panels, labels_at, panel_sizes
 from .quantities import arrow_values, joint_values
-from .round_arrows import ARROW_GEOMS
 from .staleness import Staleness
 from .toggles import Toggles
 
@@ -35,14 +34,11 @@ _HOVER_RGBA = (0.20, 0.20, 0.16, 0.90)
 class Decor:
     """All visual features of a world, and the buffer into which they draw each frame."""
 
-    def __init__(
-        self, world: WorldView, capacity: int = CAPACITY, arrow_geoms: int = ARROW_GEOMS
-    ) -> None:
+    def __init__(self, world: WorldView, capacity: int = CAPACITY) -> None:
         self.buffer = GeomBuffer(capacity)
         self.features: list[Drawn] = [*make_features(world)]
         self.panels: list[Panels] = []
         self._world = world
-        self._arrow_geoms = arrow_geoms
         self._staleness = Staleness(world)
         self._layout = BillboardLayout(owner_groups(world))
         self._outline = Outline(world)
@@ -73,7 +69,6 @@ class Decor:
             arrow_limit=limit,
             stale=stale,
             stale_joints=self._staleness.joints(stale),
-            arrow_geoms=self._arrow_geoms,
         )
         self._each("lay_out", frame)
         look = world.scene.view.look

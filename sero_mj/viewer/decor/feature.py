@@ -41,7 +41,6 @@ class Frame:
         stale: mapping from the names of items without fresh data (robots, doubles, arrows and
             frames) to messages.
         stale_joints: mask of the joints without fresh data, shape (N,).
-        arrow_geoms: maximum number of geoms of a round arrow.
         billboards: panels beside the robots, with leaders to the described items.
         corners: panels in the corners of the image, which billboards must not cover.
         panels: all other panels.
@@ -57,7 +56,6 @@ class Frame:
     arrow_limit: Array
     stale: dict[str, str]
     stale_joints: Bools
-    arrow_geoms: int
     billboards: list[BillboardGroup] = field(default_factory=list)
     corners: list[Panels] = field(default_factory=list)
     panels: list[Panels] = field(default_factory=list)

@@ -139,7 +139,7 @@ class FlangeCheck(Feature):
         T = base @ received
         length = np.array([_AXES_SHARE * part.robot.axes_length])
         rgb = (AXIS_RGB + _PALE * (1.0 - AXIS_RGB))[None]
-        draw_bars(buffer, T[None, :3, 3], T[None, :3, :3], (length, 0.03 * length), rgb, np.ones(1))
+        draw_bars(buffer, T[None, :3, 3], T[None, :3, :3], (length, 0.06 * length), rgb, np.ones(1))
         between = T[:3, 3] - own
         distance = float(np.linalg.norm(between))
         if distance > 1e-6:

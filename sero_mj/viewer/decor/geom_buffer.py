@@ -29,6 +29,8 @@ GEOM = np.dtype(
     }
 )  # fmt: skip
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
+# `dataid` of the first mesh of `arrow_shapes`. Smaller values are meshes of the shown model.
+FIRST_SHAPE = 1 << 20
 CAPACITY = 4096  # default maximum number of geoms of a frame
 # MuJoCo 4.0.0 draws arrows half as long as size[2] (glScalef by size[2] / 6 in render_gl3.c), with
 # a shaft of a third and a head of a sixth of size[2]. A test checks this factor.

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
+from .arrow_shapes import draw_straight
 from .axes import AXIS_RGB, ONTO_AXIS
 from .feature import Feature, Frame
-from .geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
+from .geom_buffer import GeomBuffer, Kind
 from .image_view import ImageView
 
 # Names of the handles. The items of their geoms are indices of this tuple.
@@ -30,7 +31,7 @@ CUBE = 6
 # Sizes of the handles, fractions of the line height.
 _ARROW_LENGTH = 6.4
 _RING_RADIUS = 4.6
-_ARROW_RADIUS = 0.22
+_ARROW_WIDTH = 0.44
 _RING_HALF_WIDTH = 0.11
 _CUBE_HALF = 0.30
 _MARK_HALF = 0.16
@@ -76,14 +77,15 @@ def draw_handles(buffer: GeomBuffer, pose: Array, lit: int, view: ImageView) -> 
     if lit >= 0:
         rgb[lit] = _LIT_RGB
     onto = rotation @ ONTO_AXIS
-    rows = buffer.take(3, int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.HANDLE, np.arange(3))
-    if len(rows):
-        rows["pos"] = origin + onto[..., 2] * (_CUBE_HALF + 0.1) * unit
-        rows["mat"] = onto
-        rows["size"][:, :2] = _ARROW_RADIUS * unit
-        rows["size"][:, 2] = _ARROW_LENGTH * unit * ARROW_SIZE_OF_LENGTH
-        rows["rgba"] = [[*each, 1.0] for each in rgb[:3]]
-        rows["emission"] = 0.6
+    draw_straight(
+        buffer, Kind.HANDLE, np.arange(3),
+        start=origin + onto[..., 2] * (_CUBE_HALF + 0.1) * unit,
+        axes=onto,
+        length=np.full(3, _ARROW_LENGTH * unit),
+        width=np.full(3, _ARROW_WIDTH * unit),
+        rgba=np.column_stack([rgb[:3], np.ones(3)]),
+        emission=0.6,
+    )  # fmt: skip
     items = np.repeat(np.arange(3, 6), SEGMENTS)
     rows = buffer.take(3 * SEGMENTS, int(mujoco.mjtGeom.mjGEOM_BOX), Kind.HANDLE, items)
     if len(rows):

@@ -13,7 +13,7 @@ from .feature import Feature, Frame
 from .font import line_of
 from .image_view import ImageView
 from .panels import PADDING, Panels, panel_sizes
-from .round_arrows import WIDEST, drawn_widths
+from .round_arrows import FULL_WIDTH, WIDEST, drawn_widths
 from .smart_arrows import SHORTEST, arrow_vectors
 from .toggles import Toggles
 
@@ -46,7 +46,7 @@ _NEEDED = {
 _TORQUES = ("torques", "torque_error", "torque_without_gravity", "torque_without_friction")
 _LARGEST = "largest seen so far"
 _UNLIMITED = "width grows with the value"
-_BY_LOAD = f"width grows up to {WIDEST:g} times gravity's load"
+_BY_LOAD = f"width grows up to {WIDEST / FULL_WIDTH:g} times gravity's load"
 # The scale has a bar before each percentage, which is as wide as an arrow at that load.
 _SHARES = np.array([0.1, 0.5, 1.0])
 SCALE = ("     10 %", "     50 %", "     ")  # followed by the name of the limit

@@ -5,27 +5,26 @@ by the right-hand rule. The color also shows the sign. Arrows of doubles are tra
 slightly smaller.
 
 If there is a limit, the width is proportional to the square root of the value. At the limit, the
-width is `arrow_radius` times `arrow_width_scale` / 0.01. At 2 % of the limit, it is a seventh of
-this. The width is zero in the dead band and reaches the square root curve at twice the dead band.
-Without a limit, the width is `arrow_width_scale` m per unit. If `arrow_load` is known, the width
-equals the radius at this load instead. Beyond the limit, the ribbon is striped.
+width is `FULL_WIDTH` times `arrow_radius` times `arrow_width_scale` / 0.01. At 2 % of the limit, it
+is a seventh of this. The width is zero in the dead band and reaches the square root curve at twice
+the dead band. Without a limit, the width is `arrow_width_scale` m per unit. If `arrow_load` is
+known, the arrow has its full width at this load instead. Beyond the limit, the arrow is striped.
 
 Source: section 2.2 of the paper. Square root, dead band and stripes are additions to the paper.
 """
 
 from __future__ import annotations
 
-import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from ...base.frames import Array
 from ...robots.assemble.parts import JointTable
+from .arrow_shapes import draw_round, draw_straight
 from .axes import AXIS_RGB
 from .feature import Feature, Frame
-from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, GeomBuffer, Kind
+from .geom_buffer import GREY, Kind
 from .panels import Panels, labels_at
-from .ribbons import Ribbons, draw_ribbons
 
 TURNING_SPEED = 1.6  # rad/s
 
@@ -34,16 +33,12 @@ POSITIVE_RGBA = (0.93, 0.45, 0.02, 1.0)
 NEGATIVE_RGBA = (0.02, 0.36, 0.78, 1.0)
 
 DEFAULT_WIDTH_SCALE = 0.01  # the default of `arrow_width_scale`
-# Minimum width of drawn arrows, radii. It is reached at 0.1 % of a torque limit.
-INVISIBLE_WIDTH = 0.03
-WIDEST = 1.5  # maximum width, radii
+FULL_WIDTH = 0.45  # width at the limit, radii
+INVISIBLE_WIDTH = 0.03 * FULL_WIDTH  # minimum width of drawn arrows, radii; 0.1 % of a limit
+WIDEST = 1.5 * FULL_WIDTH  # maximum width, radii
 
 STRAIGHT_LENGTH = 2.5  # length of the straight arrow of a prismatic joint, in radii
-_Z_LENGTH, _Z_WIDTH = 1.9, 0.02  # length of the z axis in radii, and its width in lengths
-DARKER = 0.4  # brightness factor of a straight arrow beyond its limit
-ARROW_GEOMS, _FEWEST_ARROW_GEOMS = 92, 10  # maximum and minimum number of geoms of an arrow
-# Maximum number of geoms of a frame, and number of geoms reserved for legend, names and the like.
-_MAX_GEOMS, _RESERVED_GEOMS = 2048, 60
+_Z_LENGTH, _Z_WIDTH = 1.9, 0.04  # length of the z axis in radii, and its width in lengths
 
 
 def arrow_widths(
@@ -69,7 +64,8 @@ def arrow_widths(
     share = size / np.where(limited, limit, 1.0)
     band = np.maximum(dead_band, 1e-9)
     grown = np.minimum(np.maximum(share / band - 1.0, 0.0), 1.0)
-    of_limit = radius * (width_scale / DEFAULT_WIDTH_SCALE) * np.sqrt(share) * grown
+    full = FULL_WIDTH * radius * (width_scale / DEFAULT_WIDTH_SCALE)
+    of_limit = full * np.sqrt(share) * grown
     return np.minimum(np.where(limited, of_limit, size * width_scale), WIDEST * radius)
 
 
@@ -79,7 +75,8 @@ def drawn_widths(joints: JointTable, values: Array, limit: Array) -> NDArray[np.
     The width of arrows that are not drawn is 0. `values` and `limit` are as in `arrow_widths`.
     """
     by_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
-    scale = np.where(by_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+    full = FULL_WIDTH * joints.arrow_radius
+    scale = np.where(by_load, full / joints.arrow_load, joints.arrow_width_scale)
     widths = arrow_widths(values, limit, joints.arrow_radius, scale, joints.arrow_dead_band)
     # Arrows of joints that are close together have a smaller full width and maximum width.
     narrow = joints.arrow_width_scale / DEFAULT_WIDTH_SCALE
@@ -108,7 +105,7 @@ class RoundArrows(Feature):
             frame.panels.append(Panels(*labels_at(view, tips, lines), lines))
 
     def draw(self, frame: Frame) -> None:
-        buffer, data, shown = frame.buffer, frame.data, frame.shown
+        data, shown = frame.data, frame.shown
         values, limit, stale = frame.arrow_values, frame.arrow_limit, frame.stale_joints
         joints = self.world.joints
         widths = drawn_widths(joints, values, limit)
@@ -125,8 +122,8 @@ class RoundArrows(Feature):
             # The site rotates with its link. Subtracting q keeps the arrow's speed constant while
             # its joint moves.
             phase = TURNING_SPEED * data.time - joints.angles(data)[turning] * sign
-            ribbons = Ribbons(
-                items=turning,
+            draw_round(
+                frame.buffer, Kind.ARROW, turning,
                 centre=data.site_xpos[sites],
                 axes=data.site_xmat[sites].reshape(-1, 3, 3),
                 phase=phase,
@@ -135,56 +132,37 @@ class RoundArrows(Feature):
                 width=widths[turning],
                 rgba=rgba[turning],
                 striped=over[turning],
-            )
-            draw_ribbons(buffer, Kind.ARROW, ribbons, _budget(frame))
+            )  # fmt: skip
         clicked = (shown.arrows & frame.toggles.details).nonzero()[0]
         if len(clicked):
             self._draw_z(frame, clicked)
         if len(sliding):
-            self._draw_straight(buffer, data, sliding, (values, widths, over, rgba))
+            # Straight arrows are beside the link.
+            axes = data.site_xmat[joints.centre_site[sliding]].reshape(-1, 3, 3).copy()
+            # By 1, or by a rotation about x by 180 deg.
+            axes[:, :, 1:] *= np.sign(values[sliding])[:, None, None]
+            radius = joints.arrow_radius[sliding][:, None]
+            length = STRAIGHT_LENGTH * radius
+            centre = data.site_xpos[joints.centre_site[sliding]]
+            draw_straight(
+                frame.buffer, Kind.ARROW, sliding,
+                start=centre + radius * axes[:, :, 0] - length / 2 * axes[:, :, 2],
+                axes=axes,
+                length=length[:, 0],
+                width=widths[sliding],
+                rgba=rgba[sliding],
+                over=over[sliding],
+            )  # fmt: skip
 
     def _draw_z(self, frame: Frame, index: NDArray[np.intp]) -> None:
-        joints, buffer = self.world.joints, frame.buffer
-        sites = joints.centre_site[index]
-        length = _Z_LENGTH * joints.arrow_radius[index][:, None]
-        centre = frame.data.site_xpos[sites]
-        rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW))
-        if len(rows):
-            rows["pos"] = centre
-            rows["mat"] = frame.data.site_xmat[sites].reshape(-1, 3, 3)
-            rows["size"][:, :2] = _Z_WIDTH * length
-            rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
-            rows["rgba"] = (*AXIS_RGB[2], 1.0)
-
-    def _draw_straight(
-        self,
-        buffer: GeomBuffer,
-        data: mujoco.MjData,
-        index: NDArray[np.intp],
-        look: tuple[Array, Array, NDArray[np.bool_], Array],
-    ) -> None:
-        # Straight arrows are beside the link. Beyond the limit they are dark, because a single
-        # geom cannot be striped.
-        forces, widths, over, rgba = (of_all[index] for of_all in look)
         joints = self.world.joints
-        rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.ARROW, index)
-        if not len(rows):
-            return
-        mat = data.site_xmat[joints.centre_site[index]].reshape(-1, 3, 3).copy()
-        mat[:, :, 1:] *= np.sign(forces)[:, None, None]  # 1, or a rotation about x by 180 deg
-        radius = joints.arrow_radius[index][:, None]
-        length = STRAIGHT_LENGTH * radius
-        centre = data.site_xpos[joints.centre_site[index]]
-        rows["pos"] = centre + radius * mat[:, :, 0] - length / 2 * mat[:, :, 2]
-        rows["mat"] = mat
-        rows["size"][:, :2] = (widths / 4)[:, None]
-        rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length[:, 0]
-        rgba[over, :3] *= DARKER
-        rows["rgba"] = rgba
-
-
-def _budget(frame: Frame) -> int:
-    texts = sum(2 + len(lines) for group in frame.billboards for lines in group.texts)
-    room = _MAX_GEOMS - _RESERVED_GEOMS - 3 * int(np.count_nonzero(frame.shown.axes)) - texts
-    budget = room // max(int(np.count_nonzero(frame.shown.arrows)), 1)
-    return min(max(budget, _FEWEST_ARROW_GEOMS), frame.arrow_geoms)
+        sites = joints.centre_site[index]
+        length = _Z_LENGTH * joints.arrow_radius[index]
+        draw_straight(
+            frame.buffer, Kind.NONE, index,
+            start=frame.data.site_xpos[sites],
+            axes=frame.data.site_xmat[sites].reshape(-1, 3, 3),
+            length=length,
+            width=_Z_WIDTH * length,
+            rgba=np.tile((*AXIS_RGB[2], 1.0), (len(index), 1)),
+        )  # fmt: skip

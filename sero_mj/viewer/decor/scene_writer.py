@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from ...base.errors import RenderError
 from ...base.frames import Ints
 from ...robots.assemble.parts import DrawnDouble
-from .geom_buffer import GEOM, GREY, GeomBuffer
+from .arrow_shapes import COARSE, shapes
+from .geom_buffer import FIRST_SHAPE, GEOM, GREY, GeomBuffer, place_triangles
 
 GREYNESS = 0.8  # fraction of gray in the color of a robot without fresh data
 _POS_OFFSET = 52
 _GEOM = int(mujoco.mjtObj.mjOBJ_GEOM)
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
+_TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 _DECOR = int(mujoco.mjtCatBit.mjCAT_DECOR)
 _ALL = int(mujoco.mjtCatBit.mjCAT_DYNAMIC) | int(mujoco.mjtCatBit.mjCAT_STATIC)
 # Doubles are drawn farther from the camera by this factor, to avoid flicker (z-fighting) if their
@@ -29,10 +32,15 @@ _MORE = 16  # additional capacity for geoms that are not part of the model
 
 
 class SceneWriter:
-    """A writer that adds arrows, axes, panels and other geoms to an `MjvScene` filled by MuJoCo."""
+    """A writer that adds arrows, axes, panels and other geoms to an `MjvScene` filled by MuJoCo.
 
-    def __init__(self, scene: mujoco.MjvScene) -> None:
-        self._scene = scene
+    Args:
+        first_shape: `dataid` of the first mesh of `arrow_shapes` in the renderer of the scene. If
+            the renderer does not have these meshes (None), they are drawn as triangle geoms.
+    """
+
+    def __init__(self, scene: mujoco.MjvScene, first_shape: int | None = None) -> None:
+        self._scene, self._first_shape = scene, first_shape
         self._rows = struct_view(scene)
         self._painter: _DoublePainter | None = None
 
@@ -44,10 +52,25 @@ class SceneWriter:
         """
         self.mark(buffer)
         dropped = sum(self.add_double(drawn) for drawn in buffer.drawn_doubles)
-        if with_text:
-            return dropped + self._append(buffer.rows[: buffer.count])
-        before, after = slice(0, buffer.text.start), slice(buffer.text.stop, buffer.count)
-        return dropped + self._append(buffer.rows[before]) + self._append(buffer.rows[after])
+        text = buffer.text
+        parts = [slice(0, text.start), text, slice(text.stop, buffer.count)]
+        for part in parts if with_text else parts[::2]:
+            dropped += self._append(self._drawable(buffer.rows[part]))
+        return dropped
+
+    def _drawable(self, rows: NDArray[Any]) -> NDArray[Any]:
+        of_shape = (rows["type"] == _MESH) & (rows["dataid"] >= FIRST_SHAPE)
+        if not of_shape.any():
+            return rows
+        if self._first_shape is None:
+            return np.concatenate([rows[~of_shape], *map(_triangles, rows[of_shape])])
+        rows = rows.copy()
+        shaped = rows[of_shape]
+        shaped["dataid"] = self._first_shape + 2 * (shaped["dataid"] - FIRST_SHAPE)
+        # MuJoCo ignores the size of meshes, but multiplies by `mat`, whatever it contains.
+        shaped["mat"] *= shaped["size"][:, None]
+        rows[of_shape] = shaped
+        return rows
 
     def mark(self, buffer: GeomBuffer) -> None:
         """Hides, grays and fades geoms of the model as the masks of a buffer state."""
@@ -85,6 +108,16 @@ class SceneWriter:
     def _of_model(self) -> Ints:
         rows = self._rows[: self._scene.ngeom]
         return np.flatnonzero((rows["objtype"] == _GEOM) & (rows["objid"] >= 0))
+
+
+def _triangles(row: Any) -> NDArray[Any]:
+    vertices, faces = shapes(COARSE)[int(row["dataid"]) - FIRST_SHAPE]
+    places = row["pos"] + (vertices * row["size"]) @ row["mat"].T
+    rows = np.repeat(np.atleast_1d(row), len(faces))
+    rows["type"], rows["dataid"] = _TRIANGLE, -1
+    rows["size"] = 0.0
+    place_triangles(rows, *np.moveaxis(places[faces.T], -1, 1))
+    return rows
 
 
 class _DoublePainter:

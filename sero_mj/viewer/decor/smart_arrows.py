@@ -13,16 +13,16 @@ import numpy as np
 
 from ...base.frames import Array, Bools
 from ...robots.assemble.world_view import WorldView
+from .arrow_shapes import draw_round, draw_straight
 from .billboard_layout import BillboardGroup, heights_in_order
 from .billboards import NO_DATA
 from .feature import Feature, Frame
 from .font import line_of
-from .geom_buffer import ARROW_SIZE_OF_LENGTH, GREY, Kind
+from .geom_buffer import GREY, Kind
 from .image_view import ImageView
 from .panels import panel_sizes
 from .quantities import IMPLAUSIBLE_FACTOR
-from .ribbons import Ribbons, draw_ribbons
-from .round_arrows import DARKER, TURNING_SPEED
+from .round_arrows import TURNING_SPEED
 
 SHORTEST = 0.004  # m; shorter arrows are not drawn, because their direction is noise
 # Reference direction of `frames_along`. It is not close to any axis, along which many forces act.
@@ -30,8 +30,8 @@ _FROM = np.array([0.36, 0.48, 0.80])
 # Rotation whose z axis is `_FROM`.
 _START = np.array([[0.8, 0.48, 0.36], [-0.6, 0.64, 0.48], [0.0, -0.6, 0.80]])
 _HALF_TURN = 2.0 * np.outer(_START[:, 0], _START[:, 0]) - np.eye(3)
-_HALF_WIDTH_OF_LENGTH = 0.045
-_HALF_WIDTHS = (0.004, 0.012)  # m
+_WIDTH_OF_LENGTH = 0.09
+_WIDTHS = (0.008, 0.024)  # m
 _CLOSE = 0.02  # m; hysteresis for arrows that would end inside a link and thus end at their point
 _MAX_GROUP = 2  # highest visible group of geoms
 
@@ -144,8 +144,8 @@ def draw_smart_arrows(
     straight = ~table.is_round[index]
     turning = index[~straight]
     if len(turning):
-        ribbons = Ribbons(
-            items=turning,
+        draw_round(
+            buffer, Kind.VECTOR, turning,
             centre=data.site_xpos[table.site[turning]],
             axes=axes[~straight],
             phase=np.full(len(turning), TURNING_SPEED * data.time),
@@ -154,20 +154,19 @@ def draw_smart_arrows(
             width=size[turning],
             rgba=rgba[turning],
             striped=over[turning],
-        )
-        draw_ribbons(buffer, Kind.VECTOR, ribbons, frame.arrow_geoms)
+        )  # fmt: skip
     index, axes = index[straight], axes[straight]
-    rows = buffer.take(len(index), int(mujoco.mjtGeom.mjGEOM_ARROW), Kind.VECTOR, index)
-    if not len(rows):
-        return
     length = size[index]
-    rgba[over, :3] *= DARKER
     back = np.where(ends_there[index], length, 0.0)
-    rows["pos"] = data.site_xpos[table.site[index]] - back[:, None] * axes[:, :, 2]
-    rows["mat"] = axes
-    rows["size"][:, :2] = np.clip(_HALF_WIDTH_OF_LENGTH * length, *_HALF_WIDTHS)[:, None]
-    rows["size"][:, 2] = ARROW_SIZE_OF_LENGTH * length
-    rows["rgba"] = rgba[index]
+    draw_straight(
+        buffer, Kind.VECTOR, index,
+        start=data.site_xpos[table.site[index]] - back[:, None] * axes[:, :, 2],
+        axes=axes,
+        length=length,
+        width=np.clip(_WIDTH_OF_LENGTH * length, *_WIDTHS),
+        rgba=rgba[index],
+        over=over[index],
+    )  # fmt: skip
 
 
 def drawn_sizes(world: WorldView, vectors: Array) -> Array:

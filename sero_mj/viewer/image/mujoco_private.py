@@ -10,6 +10,7 @@ from typing import Any
 import mujoco
 
 from ...base.errors import RenderError
+from ..decor.arrow_shapes import shapes_model
 
 _EXPECTED = "4.0"
 
@@ -28,6 +29,32 @@ def context_of(renderer: mujoco.Renderer) -> mujoco.MjrContext:
             f"needed for images; expected MuJoCo {_EXPECTED}"
         ) from None
     return context
+
+
+def lend_shapes(context: mujoco.MjrContext) -> int:
+    """Uploads the meshes of arrows and axes to the current OpenGL context.
+
+    An `MjrContext` draws only meshes of its own model. They are display lists of OpenGL, which all
+    `MjrContext` of one OpenGL context share. The lists exist until the OpenGL context is destroyed.
+
+    Returns:
+        `dataid` of the first mesh in scenes that are rendered with `context`.
+    """
+    buffer = context.currentBuffer
+    lender = mujoco.MjrContext(shapes_model(), mujoco.mjtFontScale.mjFONTSCALE_50)
+    first = int(lender.baseMesh) - int(context.baseMesh)
+    lender.baseMesh = lender.rangeMesh = 0  # not freed with the lender
+    lender.free()
+    mujoco.mjr_setBuffer(buffer, context)
+    return first
+
+
+def lend_shapes_to(renderer: mujoco.Renderer) -> int:
+    """Calls `lend_shapes` in the OpenGL context of a renderer, which becomes the current one."""
+    context = context_of(renderer)
+    if renderer._gl_context is not None:
+        renderer._gl_context.make_current()
+    return lend_shapes(context)
 
 
 def filament() -> Any:

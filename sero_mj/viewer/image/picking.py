@@ -7,7 +7,7 @@ with their geoms. The item closest to the camera is returned.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Any, Literal, cast
 
 import mujoco
 import numpy as np
@@ -15,7 +15,8 @@ import numpy as np
 from ...base.frames import Array, Bools
 from ...robots.assemble.parts import RobotPart, robots_of_bodies
 from ...robots.assemble.world_view import WorldView
-from ..decor.geom_buffer import ARROW_SIZE_OF_LENGTH, GeomBuffer, Kind
+from ..decor.arrow_shapes import Shape, shapes
+from ..decor.geom_buffer import FIRST_SHAPE, GeomBuffer, Kind
 from ..decor.handles import HANDLE_NAMES
 from ..decor.image_view import ImageView
 
@@ -37,12 +38,9 @@ PickedKind = Literal[
 Pixel = tuple[float, float]  # x to the right and y up from the lower left corner of an image
 
 TOUCH_TOLERANCE = 12.0  # tolerance for touch screens, pixels
-# Length of the shaft and width of the head of MuJoCo arrows, in lengths and in shaft widths.
-_SHAFT, _HEAD_WIDTH = 2 / 3, 1.75
-_SLICES = 5  # number of cylinders that approximate the cone
 _TYPES = mujoco.mjtGeom
 # Arrays are compared with numbers a hundred times faster than with members of an enum.
-_BOX, _TRIANGLE, _ARROW = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_ARROW))
+_BOX, _TRIANGLE, _MESH = map(int, (_TYPES.mjGEOM_BOX, _TYPES.mjGEOM_TRIANGLE, _TYPES.mjGEOM_MESH))
 _MAX_HIDDEN = 200  # maximum number of hidden geoms that a ray passes
 _STEP = 1e-6  # distance from the surface of a hidden geom to the next start of the ray, m
 
@@ -203,8 +201,8 @@ def _nearest_decor(
 ) -> tuple[int, float] | None:
     rows = buffer.rows[: buffer.count]
     types = rows["type"]
-    is_solid = (types == _BOX) | (types == _TRIANGLE) | (types == _ARROW)
-    index = (among & is_solid).nonzero()[0]
+    is_shape = (types == _MESH) & (rows["dataid"] >= FIRST_SHAPE)
+    index = (among & ((types == _BOX) | (types == _TRIANGLE) | is_shape)).nonzero()[0]
     if not len(index):
         return None
     rows = rows[index]
@@ -216,8 +214,9 @@ def _nearest_decor(
     flat = rows["type"] == _TRIANGLE
     edges = mat[flat, :, :2] * half[flat, None, :2]
     distance[flat] = ray_triangles(origin, direction, centre[flat], edges, margin[flat])
-    for i in (rows["type"] == _ARROW).nonzero()[0]:
-        distance[i] = ray_arrow(origin, direction, centre[i], mat[i], half[i], margin[i])
+    for i in is_shape[index].nonzero()[0]:
+        shape = shapes()[int(rows["dataid"][i]) - FIRST_SHAPE]
+        distance[i] = ray_mesh(origin, direction, rows[i], shape, float(margin[i]))
     nearest = int(np.argmin(distance))
     if not np.isfinite(distance[nearest]):
         return None
@@ -288,30 +287,18 @@ def ray_triangles(
     return np.asarray(np.minimum(distance, near.min(axis=0)))
 
 
-def ray_arrow(
-    origin: Array, direction: Array, start: Array, mat: Array, size: Array, margin: float = 0.0
-) -> float:
-    """Returns the distance along a ray to an arrow geom in m, or inf if the ray misses the arrow.
-
-    Args:
-        size: size as in `MjvGeom`: two radii of the shaft, and the length times
-            `ARROW_SIZE_OF_LENGTH`, m.
-        margin: increase of radius and length, m.
-    """
-    length = size[2] / ARROW_SIZE_OF_LENGTH
-    cone = (np.arange(_SLICES) + 0.5) / _SLICES  # middle of each slice, from base to tip
-    middles = length * np.append(_SHAFT / 2, _SHAFT + (1 - _SHAFT) * cone)
-    halves = length * np.append(_SHAFT / 2, np.full(_SLICES, (1 - _SHAFT) / 2 / _SLICES))
-    radii = size[0] * np.append(1.0, _HEAD_WIDTH * (1 - cone))
-    nearest = np.inf
-    for middle, half, radius in zip(middles, halves + margin, radii + margin, strict=True):
-        centre, cylinder = start + middle * mat[:, 2], np.array([radius, half, 0.0])
-        distance = mujoco.mju_rayGeom(
-            centre, mat.ravel(), cylinder, origin, direction, _TYPES.mjGEOM_CYLINDER
-        )
-        if 0 <= distance < nearest:
-            nearest = distance
-    return float(nearest)
+def ray_mesh(origin: Array, direction: Array, row: Any, shape: Shape, margin: float = 0.0) -> float:
+    """Returns the distance along a ray to a geom with a mesh of `arrow_shapes` in m, or inf."""
+    mat, scale = row["mat"].astype(float), row["size"].astype(float)
+    low, high = shape.vertices.min(axis=0) * scale, shape.vertices.max(axis=0) * scale
+    middle = row["pos"] + mat @ (low + high) / 2
+    around = (middle[None], mat[None], (high - low)[None] / 2 + margin)
+    if not np.isfinite(ray_boxes(origin, direction, *around)[0]):
+        return np.inf
+    first, second, third = (row["pos"] + (shape.vertices * scale) @ mat.T)[shape.faces.T]
+    edges = np.stack([second - first, third - first], axis=-1)
+    margins = np.full(len(first), margin)
+    return float(ray_triangles(origin, direction, first, edges, margins).min())
 
 
 def _pick_solid(

@@ -40,7 +40,7 @@ from .image_options import (
     Stereo,
     VideoOptions,
 )
-from .mujoco_private import context_of
+from .mujoco_private import context_of, lend_shapes
 from .painter import Painter, perform_clicks
 from .passes import PassRenderer, check_pass_file, save_depth, save_segmentation
 from .picking import Pixel
@@ -100,6 +100,8 @@ def offscreen_size(
 
 class ClassicRenderer(mujoco.Renderer):  # type: ignore[misc]
     """The OpenGL renderer of MuJoCo with the interface of a `SceneRenderer`."""
+
+    first_shape: int | None = None
 
     def follow(self, data: mujoco.MjData) -> None: ...
 
@@ -166,12 +168,14 @@ class HeadlessRenderer(Painter):
         if self.renderer == CLASSIC:
             classic = self._renderer = make_renderer(world, *size, is_draft=quality == "draft")
             # The OpenGL context of a new renderer is the current one.
+            classic.first_shape = lend_shapes(context_of(classic))
             self._surroundings = added_surroundings(world, context_of(classic))
         else:
             kind = renderers()[self.renderer]
             self._renderer, self._surroundings = kind.make(world, *size, quality, frames=frames)
         if quality == "draft":
             self._renderer.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self.decor.first_shape = self._renderer.first_shape
         self._typesetter = Typesetter(line_height(world, *self._half))
         self._passes: PassRenderer | None = None
 

@@ -30,9 +30,12 @@ class SceneRenderer(Protocol):
 
     Attributes:
         scene: scene that the caller fills with `mujoco.mjv_updateScene` before each frame.
+        first_shape: `dataid` of the first mesh of `arrow_shapes` in scenes; None if the renderer
+            does not have these meshes.
     """
 
     scene: mujoco.MjvScene
+    first_shape: int | None
 
     def follow(self, data: mujoco.MjData) -> None:
         """Called before each frame with its state, from which skins and flexes are drawn."""

@@ -14,7 +14,6 @@ from ..decor.geom_buffer import CAPACITY, GeomBuffer
 from ..decor.image_view import ImageView
 from ..decor.model_drawing import ModelDrawing
 from ..decor.panels import Panels
-from ..decor.round_arrows import ARROW_GEOMS
 from ..decor.scene_writer import SceneWriter
 from ..decor.toggles import Toggles
 from .clicks import Gesture, click, hover
@@ -34,6 +33,7 @@ class SceneDecor:
     Attributes:
         view: view of the last frame; None before the first frame.
         dropped: number of geoms of the last frame that exceeded the capacity of the scene.
+        first_shape: `dataid` of the first mesh of arrows in scenes, as in `SceneWriter`.
     """
 
     def __init__(
@@ -41,7 +41,6 @@ class SceneDecor:
         world: WorldView,
         toggles: Toggles | None = None,
         capacity: int = CAPACITY,
-        arrow_geoms: int = ARROW_GEOMS,
         *,
         with_text: bool = True,
     ) -> None:
@@ -49,8 +48,9 @@ class SceneDecor:
         self.toggles = Toggles(world) if toggles is None else toggles
         self.view: ImageView | None = None
         self.dropped = 0
+        self.first_shape: int | None = None
         self.drawing = ModelDrawing(world)
-        self._decor = Decor(world, capacity, arrow_geoms)
+        self._decor = Decor(world, capacity)
         self.buffer: GeomBuffer = self._decor.buffer
         self._host: tuple[mujoco.MjvScene, SceneWriter] | None = None
         self._has_warned = False
@@ -79,7 +79,7 @@ class SceneDecor:
         """Adds one frame to a scene filled by MuJoCo, and returns the number of dropped geoms."""
         self.lay_out(data, view)
         if self._host is None or self._host[0] is not scene:
-            self._host = (scene, SceneWriter(scene))
+            self._host = (scene, SceneWriter(scene, self.first_shape))
         dropped = self._host[1].add(self.buffer, with_text=self._with_text)
         self.dropped = self.buffer.dropped + dropped
         if self.dropped and not self._has_warned:

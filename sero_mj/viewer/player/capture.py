@@ -34,13 +34,13 @@ from ..image.sampling import known_poses, sampled_states
 from .copied_bodies import CopiedBody
 from .frame import CapturedFrame, FrameTaker, body_poses, shown_bodies
 from .model import visible_geoms
+from .packing import types_of
 from .soft import Soft, SoftParts, bytes_of_frame, soft_of
 
 DEFAULT_FPS = 30.0
 DEFAULT_SECONDS = 10.0  # duration of a captured run if the sources have no end
 MAX_BYTES = 128_000_000  # maximum size of a run in the browser's memory
 _LABEL = int(mujoco.mjtGeom.mjGEOM_LABEL)
-_ARROW_GEOMS = 24  # maximum for a round smart arrow; the player itself draws the arrows of joints
 _SIZE = (1280, 800)  # assumed size of the image in pixels, on which some features depend
 
 
@@ -184,7 +184,7 @@ class FrameCapturer:
         self.toggles = Toggles(world)
         self.toggles.billboards[:] = False
         self.toggles.doubles[:] = self.toggles.cards[:] = True
-        self._decor = Decor(world, arrow_geoms=_ARROW_GEOMS)
+        self._decor = Decor(world)
         for feature in self._decor.features:
             if isinstance(feature, Legend):
                 feature.is_steady = False
@@ -416,8 +416,9 @@ def _items(rows: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> list[DecorI
     found: dict[tuple[int, int, int, int], DecorItem] = {}
     for k, (geoms, kinds, items) in enumerate(rows):
         count: dict[tuple[int, int, int], int] = {}
-        for row, kind, item in zip(geoms, kinds.tolist(), items.tolist(), strict=True):
-            key = (kind, item, int(row["type"]))
+        types = types_of(geoms).tolist()
+        for row, kind, item, of in zip(geoms, kinds.tolist(), items.tolist(), types, strict=True):
+            key = kind, item, of
             number = count[key] = count.get(key, -1) + 1
             place = found.get((*key, number))
             if place is None:

@@ -12,20 +12,20 @@ from ...base.frames import Array
 from ...robots.assemble.parts import DoublePart
 from ...robots.assemble.world_view import WorldView
 from ...robots.declared.robot_parts import ARROW_QUANTITIES
-from ..decor import round_arrows
+from ..decor import arrow_shapes, round_arrows
 from ..decor.billboards import LineFormat, has_chosen_lines
-from ..decor.geom_buffer import GREY, Kind
+from ..decor.geom_buffer import FIRST_SHAPE, GREY, Kind
 from ..decor.legend import arrows_line
 from ..decor.quantities import QUANTITY_NAMES, torque_and_unit
-from ..decor.ribbons import ribbon_shape
 from .capture import CapturedRun, Mark, eye
 from .frame import Labels
 from .model import Look
-from .packing import PackedArrays, poses, rounded
+from .packing import PackedArrays, differing, poses, rounded, types_of
 from .surroundings import surroundings_head
 
 VERSION = 1
 METRE_STEP = 5e-5  # resolution of positions, m
+_SHAPE_STEP = 1 / 4096  # resolution of the meshes of arrows and axes, of their radius or length
 ROTATION_STEP = 1 / 16384  # resolution of the components of unit quaternions
 _SWITCHABLE = ("torques", "torque_error")  # quantities that the user can choose for arrows
 
@@ -189,7 +189,8 @@ def arrow_looks(world: WorldView, limit: Array) -> list[dict[str, Any]]:
     """Returns the radius, the opacity and the width parameters of each joint's arrow."""
     joints = world.joints
     has_load = np.isinf(limit) & np.isfinite(joints.arrow_load)
-    scale = np.where(has_load, joints.arrow_radius / joints.arrow_load, joints.arrow_width_scale)
+    full = round_arrows.FULL_WIDTH * joints.arrow_radius
+    scale = np.where(has_load, full / joints.arrow_load, joints.arrow_width_scale)
     narrow = joints.arrow_width_scale / round_arrows.DEFAULT_WIDTH_SCALE
     widest = round_arrows.WIDEST * np.where(has_load, np.minimum(narrow, 1.0), 1.0)
     return [
@@ -221,22 +222,50 @@ def _lines(lines: list[LineFormat]) -> list[dict[str, Any]]:
 
 
 def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
-    shape = ribbon_shape(round_arrows.ARROW_GEOMS)
-    names = ("middle", "half_angle", "rings", "own", "flare", "triangles")
     torques = capture.values.get("torques")
     is_torque = torques is not None and np.array_equal(capture.arrows, torques, equal_nan=True)
     return {
-        "shape": {name: rounded(getattr(shape, name)) for name in names}
-        | {"dark": np.asarray(shape.dark).astype(int).tolist()},
+        "shapes": _shapes(parts),
+        "ratios": arrow_shapes.RATIOS.tolist(),
+        "stripe": arrow_shapes.STRIPE_RGB,
         "values": None if is_torque else parts.put(capture.arrows.T),
         "quantities": _quantities(capture),
         "stale": parts.moving(capture.stale, 1),
         "speed": round_arrows.TURNING_SPEED,
+        "full": round_arrows.FULL_WIDTH,
         "invisible": round_arrows.INVISIBLE_WIDTH,
-        "straight": round_arrows.STRAIGHT_LENGTH,
-        "darker": round_arrows.DARKER,
+        "straight": {
+            "length": round_arrows.STRAIGHT_LENGTH,
+            "headWidth": arrow_shapes.STRAIGHT_HEAD_WIDTH,
+            "headLength": arrow_shapes.STRAIGHT_HEAD_LENGTH,
+            "longestHead": arrow_shapes.LONGEST_HEAD,
+            "barbs": arrow_shapes.HEAD_BARBS,
+            "darker": arrow_shapes.DARKER,
+            "shaft": FIRST_SHAPE + arrow_shapes.SHAFT,
+            "head": FIRST_SHAPE + arrow_shapes.HEAD,
+        },
         "positive": round_arrows.POSITIVE_RGBA[:3],
         "negative": round_arrows.NEGATIVE_RGBA[:3],
+    }
+
+
+def _shapes(parts: PackedArrays) -> dict[str, Any]:
+    """Returns the meshes of arrows and axes, in groups of meshes that share their faces."""
+    shapes, first = arrow_shapes.shapes(), arrow_shapes.BANDS
+    groups = [shapes[:first], shapes[first : 2 * first], *([each] for each in shapes[2 * first :])]
+    return {
+        "first": FIRST_SHAPE,
+        "step": _SHAPE_STEP,
+        "groups": [
+            {
+                "count": len(group),
+                "vertices": parts.moving(
+                    np.stack([each.vertices.ravel() for each in group]), _SHAPE_STEP
+                ),
+                "faces": parts.put(differing(group[0].faces.ravel())),
+            }
+            for group in groups
+        ],
     }
 
 
@@ -286,7 +315,7 @@ def _items(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 
 def _type(item: Any) -> int:
-    return int(item.rows["type"][item.visible.argmax()])
+    return int(types_of(item.rows)[item.visible.argmax()])
 
 
 def _legend(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:

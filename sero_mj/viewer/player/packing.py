@@ -12,7 +12,9 @@ import mujoco
 import numpy as np
 
 from ...base.frames import Array, Ints
+from ..decor.geom_buffer import FIRST_SHAPE
 
+_MESH = int(mujoco.mjtGeom.mjGEOM_MESH)
 _TRIANGLE = int(mujoco.mjtGeom.mjGEOM_TRIANGLE)
 
 
@@ -59,6 +61,12 @@ def differing(numbers: np.ndarray) -> np.ndarray:
     """Returns the differences between neighboring integers, shape (n,), in the form of `folded`."""
     whole: Ints = np.asarray(numbers, np.int64)
     return unsigned(folded(np.diff(whole, prepend=0)))
+
+
+def types_of(rows: np.ndarray) -> Ints:
+    """Returns the types of rows of `GEOM`. That of an arrow or axis is the number of its mesh."""
+    is_shape = (rows["type"] == _MESH) & (rows["dataid"] >= FIRST_SHAPE)
+    return np.asarray(np.where(is_shape, rows["dataid"], rows["type"]))
 
 
 def poses(rows: np.ndarray) -> tuple[Array, Array]:

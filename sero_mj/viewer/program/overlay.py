@@ -6,6 +6,7 @@ import logging
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from weakref import WeakKeyDictionary
 
 import mujoco
 import numpy as np
@@ -25,7 +26,7 @@ from ..image.camera import find_camera
 from ..image.clicks import Gesture
 from ..image.image_files import ImageArray
 from ..image.image_options import DEFAULT_SIZE
-from ..image.mujoco_private import context_of
+from ..image.mujoco_private import context_of, lend_shapes_to
 from ..image.picking import Picked, Pixel
 from ..image.render import HeadlessRenderer
 from ..image.scene_decor import SceneDecor
@@ -51,6 +52,7 @@ class Overlay:
         self._decor = SceneDecor(world)
         self._drawn = self._decor  # decor of the last frame; `image` draws with another one
         self._renderer: HeadlessRenderer | None = None
+        self._first_shapes: WeakKeyDictionary[mujoco.Renderer, int] = WeakKeyDictionary()
         self._has_warned = False
 
     @property
@@ -143,8 +145,16 @@ class Overlay:
             )
         self.check_frames()
         self._drawn = self._decor
+        self._decor.first_shape = self._first_shape(target)
         view = ImageView.of_scene(scene, width, height, font)
         return self._decor.draw(self.data, view, scene)
+
+    def _first_shape(self, target: Any) -> int | None:
+        if not isinstance(target, mujoco.Renderer):
+            return None
+        if target not in self._first_shapes:
+            self._first_shapes[target] = lend_shapes_to(target)
+        return self._first_shapes[target]
 
     def pick(self, x: float, y: float, tolerance: float = 0.0) -> Picked | None:
         """Returns the item at a pixel of the last frame, or None if there is none.

@@ -23,7 +23,7 @@ from ..image.scene_decor import SceneDecor
 from ..player.capture import capture_pose
 from ..player.encode import METRE_STEP, ROTATION_STEP, arrow_looks, encode
 from ..player.frame import FrameTaker, line_text
-from ..player.packing import poses, quaternions_of
+from ..player.packing import poses, quaternions_of, types_of
 from .sections import Sections
 
 _KEYS = ["joint_angles"]  # names of the joint values that pages need
@@ -105,7 +105,7 @@ class PageState(FrameTaker):
         what = np.zeros((len(rows) + len(of_model), 3), np.int32)
         what[: len(rows), 0], what[: len(rows), 1] = kinds, items
         rows = np.concatenate([rows, of_model])
-        what[:, 2] = rows["type"]
+        what[:, 2] = types_of(rows)
         self.count = len(rows)
         rotations, sizes = poses(rows)
         parts = [

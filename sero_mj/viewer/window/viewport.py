@@ -14,6 +14,7 @@ from ..decor.toggles import Toggles
 from ..image.added_surroundings import added_surroundings
 from ..image.framing import bounding_sphere, stand_back
 from ..image.image_options import EYE_DISTANCE, Stereo
+from ..image.mujoco_private import lend_shapes
 from ..image.scene_decor import SceneDecor
 from ..image.stereo import check_stereo, each_eye, looked_at
 from ..image.typesetting import Typesetter
@@ -46,6 +47,7 @@ class Viewport(SceneDecor):
     def __init__(self, world: WorldView, toggles: Toggles, context: mujoco.MjrContext) -> None:
         super().__init__(world, toggles, with_text=False)
         self.needed = 0.0
+        self.first_shape = lend_shapes(context)
         self._surroundings = added_surroundings(world, context)
         self.rect, self.width = mujoco.MjrRect(0, 0, 1, 1), 1
         self._scene = mujoco.MjvScene(world.model, maxgeom=world.model.ngeom + CAPACITY + _MORE)

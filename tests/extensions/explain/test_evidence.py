@@ -20,6 +20,7 @@ from sero_mj.extensions.explain.torque_residuals import (
     torque_residuals,
 )
 from sero_mj.simulate.runs.run_log import RunLog
+from sero_mj.study import plot
 from sero_mj.study.compare import as_json, compare, next_lines
 from sero_mj.study.evidence import Evidence, count_left_out
 from sero_mj.study.explanation import Explanation, Kind
@@ -170,17 +171,19 @@ def test_mark_has_the_plots_of_its_joint(friction: Explanation) -> None:
     log = swing(FRICTION)
     pair = pair_with_model(log, torque_residuals(log, "lwr"))
     (mark,) = marks_of_explanations(pair, [friction])
-    plot, evidence = mark.plot, evidence_of(friction)
-    assert plot is not None and (mark.text, plot.joint) == ("A2: friction +1.5 Nm", "lwr/A2")
+    shown, evidence = mark.plot, evidence_of(friction)
+    assert shown is not None and (mark.text, shown.joint) == ("A2: friction +1.5 Nm", "lwr/A2")
     assert mark.begin + pair.times[0] == pytest.approx(BEGIN, abs=0.03)
-    assert (plot.label, plot.quantity) == ("A2, drive side [Nm]", "over velocity [deg/s]")
-    assert plot.times[0] == 0.0 and len(plot.times) == len(evidence.times)
-    known = [each for each in plot.before if each is not None]
+    assert (shown.label, shown.quantity) == ("A2, drive side [Nm]", "over velocity [deg/s]")
+    assert shown.times[0] == 0.0 and len(shown.times) == len(evidence.times)
+    known = [each for each in shown.before if each is not None]
     np.testing.assert_allclose(known, evidence.before[np.isfinite(evidence.before)], rtol=1e-4)
-    assert f"next: {friction.next}" in plot.notes and evidence.rows_text in plot.notes
+    assert f"next: {friction.next}" in shown.notes and evidence.rows_text in shown.notes
 
 
-def test_figure_shows_evidence_below_or_on_a_page(friction: Explanation, tmp_path: Path) -> None:
+def test_figure_shows_evidence_below_or_on_a_page(
+    friction: Explanation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = swing(FRICTION)
     pair = pair_with_model(log, torque_residuals(log, "lwr"))
     plot_pair(pair, tmp_path / "one.svg", joints=["A2"], explanations=[friction])
@@ -188,6 +191,7 @@ def test_figure_shows_evidence_below_or_on_a_page(friction: Explanation, tmp_pat
     for expected in ("A2: friction +1.5 Nm, 99 %", "next: move A2 at constant", "velocity, deg/s",
                      "left out: "):  # fmt: skip
         assert expected in text
+    monkeypatch.setattr(plot, "PER_PAGE", 1)
     with mpl.rc_context({"pdf.compression": 0}):
-        plot_pair(pair, tmp_path / "two.pdf", joints=["A2"], explanations=[friction] * 7)
+        plot_pair(pair, tmp_path / "two.pdf", joints=["A2"], explanations=[friction] * 2)
     assert (tmp_path / "two.pdf").read_bytes().count(b"/Type /Page ") == 3

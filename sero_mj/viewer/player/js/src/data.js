@@ -136,6 +136,17 @@ class Arrays {
       triangles: this.differing(mesh.triangles), ...this.uv(mesh.uv) };
   }
 
+  /** Reads the meshes of arrows and axes. @param {any} shapes */
+  shapes({ first, step, groups }) {
+    /** @type {{positions: Float32Array, index: Uint32Array}[]} */
+    const meshes = [];
+    for (const { count, vertices, faces } of groups) {
+      const numbers = this.moving(vertices, count, step), index = this.differing(faces);
+      for (let k = 0; k < count; k++) meshes.push({ positions: numbers.filter((_, i) => i % count === k), index });
+    }
+    return { first: Number(first), meshes };
+  }
+
   /** @param {any} texture @returns {Texture} */
   texture({ cube, width, height, channels, way, pixels }) {
     const numbers = this.get(pixels), row = width * channels;
@@ -239,6 +250,7 @@ export function decode(bytes) {
     values,
     arrows: {
       ...head.arrows,
+      shapes: arrays.shapes(head.arrows.shapes),
       stale: moving(head.arrows.stale),
       values: /** @type {Float64Array | undefined} */ (
         head.arrows.values ? arrays.get(head.arrows.values) : torques),

@@ -41,13 +41,13 @@ export class Geoms {
 }
 
 /**
- * Collects the visible geoms of a run at a frame. Space for the arrows of joints is reserved.
+ * Collects the visible geoms of a run at a frame. Space for two geoms of each joint's arrow is reserved.
  * @param {Run} run @param {number} frame @param {boolean} hasArrows whether arrows are on
  * @param {Geoms} to
  */
 export function geomsAt({ items, joints, frames }, frame, hasArrows, to) {
   const { visible, positions, rotations, sizes, colours, of } = items;
-  to.resize(of.length + joints.length);
+  to.resize(of.length + 2 * joints.length);
   to.count = 0;
   if (!visible || !positions || !rotations || !sizes || !colours) return;
   of.forEach((/** @type {number[]} */ each, /** @type {number} */ k) => {

@@ -5,6 +5,7 @@ import { VECTOR } from "./geoms.js";
 import { stretch, tube } from "./tubes.js";
 
 /** @typedef {import("./geoms.js").Geoms} Geoms */
+/** @typedef {import("./data.js").Run} Run */
 
 // mjtGeom
 const SPHERE = 2, CAPSULE = 3, ELLIPSOID = 4, CYLINDER = 5, BOX = 6;
@@ -20,11 +21,11 @@ const cone = (way = 1) => new THREE.ConeGeometry(1, 1, 24).translate(0, 0.5, 0).
 /** Returns a cylinder of radius 1 from z = -1 to 1. @param {boolean} [isOpen] */
 const rod = (isOpen = false) => new THREE.CylinderGeometry(1, 1, 2, 20, 1, isOpen).rotateX(UP);
 
-/** @param {number[]} corners @param {number[]} [index] */
+/** @param {ArrayLike<number>} corners @param {ArrayLike<number>} [index] */
 function made(corners, index) {
   const shape = new THREE.BufferGeometry();
-  shape.setAttribute("position", new THREE.Float32BufferAttribute(corners, 3));
-  if (index) shape.setIndex(index);
+  shape.setAttribute("position", new THREE.BufferAttribute(new Float32Array(corners), 3));
+  if (index) shape.setIndex(new THREE.BufferAttribute(new Uint16Array(index), 1));
   shape.computeVertexNormals();
   return shape;
 }
@@ -80,17 +81,24 @@ function read({ positions, rotations, sizes, rgba }, k) {
   colour.setRGB(rgba[4 * k] / 255, rgba[4 * k + 1] / 255, rgba[4 * k + 2] / 255);
 }
 
-/** Returns the material of a type of geoms. @param {number} type @param {boolean} isTransparent */
-function materialOf(type, isTransparent) {
+/** GLSL code for the light on arrows and axes from above the camera, with about the brightness in MuJoCo. */
+const LIT = `#include <project_vertex>
+  mat3 placed = mat3(instanceMatrix);
+  vec3 across = normal / vec3(dot(placed[0], placed[0]), dot(placed[1], placed[1]), dot(placed[2], placed[2]));
+  lit = .68 + .36 * max(dot(normalize(normalMatrix * (placed * across)), vec3(.23, .68, .69)), 0.);`;
+
+/** Returns the material of a type of geoms. @param {number} type @param {boolean} isTransparent @param {boolean} isLit */
+function materialOf(type, isTransparent, isLit) {
   const material = new THREE.MeshBasicMaterial({ side: THREE.DoubleSide, transparent: isTransparent });
   material.onBeforeCompile = (shader) => {
     if (type === CAPSULE) stretch(shader);
-    shader.vertexShader = "attribute float look; varying float own;\n" + shader.vertexShader
-      .replace("void main() {", "void main() { own = look;");
-    shader.fragmentShader = "varying float own;\n" + shader.fragmentShader
-      .replace("#include <color_fragment>", "#include <color_fragment>\ndiffuseColor.a *= own;");
+    shader.vertexShader = "attribute float look; varying float own, lit;\n" + shader.vertexShader
+      .replace("void main() {", "void main() { own = look; lit = 1.;")
+      .replace("#include <project_vertex>", isLit ? LIT : "#include <project_vertex>");
+    shader.fragmentShader = "varying float own, lit;\n" + shader.fragmentShader
+      .replace("#include <color_fragment>", "#include <color_fragment>\ndiffuseColor *= vec4(vec3(lit), own);");
   };
-  material.customProgramCacheKey = () => `decor ${type === CAPSULE}`;
+  material.customProgramCacheKey = () => `decor ${type === CAPSULE} ${isLit}`;
   return material;
 }
 
@@ -102,7 +110,7 @@ class Solids {
     this.shape = shape;
     this.scale = scale;
     this.group = group;
-    this.material = materialOf(type, isFaint);
+    this.material = materialOf(type, isFaint, Boolean(shape.userData.isLit));
     this.capacity = 0;
     this.look = new THREE.InstancedBufferAttribute(new Float32Array(0), 1);
     this.mesh = this.#make(4);
@@ -202,7 +210,9 @@ class Lines {
 
 /** Draws all overlays, with one mesh per shape for opaque geoms, and one for transparent geoms. */
 export class Items {
-  constructor() {
+  /** @param {Run["arrows"]["shapes"]} arrows meshes of arrows and axes */
+  constructor(arrows) {
+    this.arrows = arrows;
     this.group = new THREE.Group();
     /** Positions of smart arrows, which billboards need. @type {Map<string, THREE.Vector3>} */
     this.places = new Map();
@@ -217,12 +227,20 @@ export class Items {
     const key = isFaint ? -type : type;
     let found = this.types.get(key);
     if (!found) {
-      const shapes = SHAPES[type]?.() ?? [];
+      const shapes = type >= this.arrows.first ? [this.#arrow(type)] : SHAPES[type]?.() ?? [];
       found = { shown: [], solids: shapes.map((shape) => new Solids(type, isFaint, shape, this.group)),
         lines: LINES[type] ? [new Lines(type, this.group)] : [] };
       this.types.set(key, found);
     }
     return found;
+  }
+
+  /** Returns a mesh of arrows or axes. @param {number} type @returns {Shape} */
+  #arrow(type) {
+    const { positions, index } = this.arrows.meshes[type - this.arrows.first];
+    const shape = made(positions, index);
+    shape.userData.isLit = true;
+    return [shape, (size) => [size, 0]];
   }
 
   /** Updates all overlays. @param {Geoms} geoms */

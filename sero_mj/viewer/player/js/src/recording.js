@@ -1,6 +1,6 @@
 /** The transport of a recorded run, which sends the same sections to the player as the server of a live page. */
 
-import { addStraight } from "./arrows.js";
+import { addArrows } from "./arrows.js";
 import { Clock, SPEEDS } from "./clock.js";
 import { fixed, textOf, valueOf } from "./data.js";
 import { BILLBOARD, Geoms, VECTOR, geomsAt } from "./geoms.js";
@@ -291,10 +291,10 @@ export class Recording {
     const hasArrow = (/** @type {number} */ j) => switches.arrows
       && (run.joints[j].arrow.on || !areSome) && (run.joints[j].double < 0 || switches.doubles);
     return {
-      at: clock.at, hasDoubles: switches.doubles, hasArrow, labels: labelsAt(run, frame),
+      at: clock.at, hasDoubles: switches.doubles, labels: labelsAt(run, frame),
       geoms: (sites) => {
         geomsAt(run, frame, switches.arrows, geoms);
-        addStraight(run, clock.at, sites, hasArrow, geoms);
+        addArrows(run, clock.at, sites, hasArrow, geoms);
         return geoms;
       },
       billboards: () => switches.numbers ? this.billboards.at(stage, frame) : [],

@@ -2,7 +2,6 @@
 
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
-import { RoundArrows } from "./arrows.js";
 import { mixer } from "./data.js";
 import { placeOf, standingBack, viewFrom } from "./eye.js";
 import { ARROW } from "./geoms.js";
@@ -14,6 +13,7 @@ import { BACKDROP, Surroundings } from "./surroundings.js";
 
 /** @typedef {import("./data.js").Run} Run */
 
+const CLOSE = 5; // distance within which arrows are hit, pixels
 const SLOW = 60; // time per frame above which shadows are omitted, and then the depth of doubles, ms
 
 /** Returns the renderer of a canvas. Throws an error if WebGL 2 is not available. @param {HTMLCanvasElement} canvas */
@@ -47,15 +47,14 @@ export class Stage {
     this.surroundings = new Surroundings(run);
     const sky = run.lights ? null : this.surroundings.uniforms;
     this.robots = new Robots(run, sky);
-    this.arrows = new RoundArrows(run);
-    this.items = new Items();
+    this.items = new Items(run.arrows.shapes);
     this.soft = new SoftParts(run, sky);
     this.lamps = run.lights && new Lamps(run.lights, this.scene, this.camera, 0.6 * run.eye.distance);
     /** The light that casts shadows. */
     this.sun = this.lamps ? this.lamps.sun : this.surroundings.sun;
     this.sites = run.joints.map(() => new THREE.Matrix4());
     this.own = run.joints.map((joint) => matrixOf(joint.pos, joint.quat));
-    this.scene.add(this.robots.group, this.arrows.mesh, this.items.group, this.soft.group,
+    this.scene.add(this.robots.group, this.items.group, this.soft.group,
       this.surroundings.group, this.camera);
     this.size = { width: 1, height: 1 };
     this.spent = 0; // smoothed time per frame, ms
@@ -137,19 +136,17 @@ export class Stage {
   /**
    * Updates all parts of the scene.
    * @param {number} at frame with a fractional part @param {boolean} hasDoubles
-   * @param {(joint: number) => boolean} hasArrow
    * @param {(sites: THREE.Matrix4[]) => import("./geoms.js").Geoms} geoms
    *   returns the geoms of overlays for the poses of the joints
    * @param {{positions: Float32Array, turns: Float32Array} | null} [sites] poses of joints in the world
    */
-  place(at, hasDoubles, hasArrow, geoms, sites = null) {
+  place(at, hasDoubles, geoms, sites = null) {
     const { run, robots } = this;
     robots.place(at, hasDoubles);
     run.joints.forEach((joint, j) => {
       if (sites) this.sites[j].copy(matrixOf([...sites.positions.subarray(3 * j, 3 * j + 3)], [...sites.turns.subarray(4 * j, 4 * j + 4)]));
       else this.sites[j].multiplyMatrices(robots.matrices[joint.body], this.own[j]);
     });
-    this.arrows.place(at, this.sites, hasArrow);
     this.items.place(geoms(this.sites));
     this.soft.place(at, robots.matrices);
     this.lamps?.place(robots.matrices);
@@ -198,42 +195,26 @@ export class Stage {
 
   /** Returns the item at a pixel (y points down), or null. @param {number} x @param {number} y */
   pick(x, y) {
-    const { width, height } = this.size, ray = new THREE.Raycaster();
-    ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
-    const geom = this.robots.pick(ray.ray), item = this.items.pick(ray), arrow = this.#arrow(x, y);
-    if (item && (!geom || item.distance < geom.distance)) {
+    const [item, geom] = this.#hit(x, y);
+    if (item) {
       const [kind, number] = item.of;
       return kind === ARROW ? { joint: number } : { kind, item: number };
     }
-    if (arrow >= 0) return { joint: arrow };
+    for (let k = 0; k < 8; k++) { // Thin arrows are hit by pixels that are close to them.
+      const angle = k * Math.PI / 4, [near] = this.#hit(x + CLOSE * Math.cos(angle), y + CLOSE * Math.sin(angle));
+      if (near?.of[0] === ARROW) return { joint: near.of[1] };
+    }
     if (!geom) return null;
     const body = this.run.bodies[geom.geom.body];
     return { body: body.name, joint: body.joint };
   }
 
-  /** Returns the joint whose round arrow is less than 6 pixels away from a pixel, or -1. */
-  #arrow(/** @type {number} */ x, /** @type {number} */ y) {
-    const place = new THREE.Vector3();
-    for (const [k, j] of this.arrows.joints.entries()) {
-      if (!this.arrows.how.getX(k)) continue;
-      const { radius } = this.run.joints[j].arrow, half = this.arrows.how.getY(k) / 2;
-      for (let i = 0; i < 48; i++) {
-        const angle = i / 24 * Math.PI;
-        for (const z of [-half, 0, half]) {
-          place.set(radius * Math.cos(angle), radius * Math.sin(angle), z).applyMatrix4(this.sites[j]);
-          const pixel = this.pixel(place), away = Math.hypot(pixel.x - x, pixel.y - y);
-          if (pixel.isSeen && away < 6 && this.#isFree(place)) return j;
-        }
-      }
-    }
-    return -1;
-  }
-
-  /** Returns whether no robot covers a point. @param {THREE.Vector3} place */
-  #isFree(place) {
-    const from = this.camera.position, way = place.clone().sub(from), far = way.length();
-    const hit = this.robots.pick(new THREE.Ray(from.clone(), way.normalize()));
-    return !hit || hit.distance > far - 0.01;
+  /** Returns the item at a pixel unless a robot covers it, and the geom of a robot at this pixel. */
+  #hit(/** @type {number} */ x, /** @type {number} */ y) {
+    const { width, height } = this.size, ray = new THREE.Raycaster();
+    ray.setFromCamera(new THREE.Vector2(2 * x / width - 1, 1 - 2 * y / height), this.camera);
+    const geom = this.robots.pick(ray.ray), item = this.items.pick(ray);
+    return /** @type {const} */ ([item && geom && geom.distance < item.distance ? null : item, geom]);
   }
 
   /** Frees all resources on the graphics card except the renderer. */

@@ -1,5 +1,6 @@
 /** The state of a live page. It is a run with one frame, whose arrays are overwritten by sections of the server. */
 
+import { addArrows } from "./arrows.js";
 import { decode } from "./data.js";
 import * as THREE from "three";
 import { BILLBOARD, Geoms } from "./geoms.js";
@@ -23,6 +24,8 @@ export class State {
     if (run.frames !== 1) throw new Error(`found a run of ${run.frames} frames`);
     const joints = run.joints.length;
     this.geoms = new Geoms();
+    this.geoms.resize(2 * joints);
+    this.count = 0; // number of geoms that the server has sent
     this.arrowOn = new Uint8Array(joints);
     this.turns = new Int16Array(run.rotations.length);
     this.opacities = new Uint8Array(run.opacity.length);
@@ -41,7 +44,13 @@ export class State {
    */
   moment(_, now) {
     return {
-      at: 0, hasDoubles: true, hasArrow: (joint) => this.arrowOn[joint] > 0, geoms: () => this.geoms, sites: this.sites,
+      at: 0, hasDoubles: true, sites: this.sites,
+      geoms: (sites) => {
+        this.geoms.count = this.count;
+        const isOn = (/** @type {number} */ joint) => this.arrowOn[joint] > 0 && this.run.joints[joint].arrow.round;
+        addArrows(this.run, 0, sites, isOn, this.geoms);
+        return this.geoms;
+      },
       labels: now.labels ?? [], billboards: () => contentsOf(now.cards ?? [], now.selected ?? -1),
     };
   }
@@ -110,7 +119,8 @@ export class State {
   /** @param {Reader} reader */
   #items(reader) {
     const count = reader.count(BYTES_OF_GEOM), { geoms } = this;
-    geoms.resize(count);
+    geoms.resize(count + 2 * this.run.joints.length);
+    this.count = count;
     reader.take(geoms.of.subarray(0, 3 * count));
     reader.take(geoms.positions.subarray(0, 3 * count));
     reader.take(geoms.rotations.subarray(0, 4 * count));

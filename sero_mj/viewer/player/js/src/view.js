@@ -18,7 +18,7 @@ import { Stage, rendererOf } from "./stage.js";
 
 /**
  * The state to draw, with a frame of a run and the visible features.
- * @typedef {{at: number, hasDoubles: boolean, hasArrow: (joint: number) => boolean,
+ * @typedef {{at: number, hasDoubles: boolean,
  *   geoms: (sites: import("three").Matrix4[]) => import("./geoms.js").Geoms,
  *   billboards: () => import("./billboards.js").Content[], labels: import("./labels.js").Label[],
  *   sites?: {positions: Float32Array, turns: Float32Array} | null}} Moment
@@ -122,10 +122,10 @@ export class View {
   }
 
   /** @param {Moment} moment */
-  draw({ at, hasDoubles, hasArrow, geoms, billboards, labels, sites }) {
+  draw({ at, hasDoubles, geoms, billboards, labels, sites }) {
     const { stage } = this;
     this.isDirty = false;
-    stage.place(at, hasDoubles, hasArrow, geoms, sites);
+    stage.place(at, hasDoubles, geoms, sites);
     this.calls = stage.draw();
     const { offsetTop, offsetHeight } = /** @type {HTMLElement} */ (byId("names").parentElement);
     const top = offsetTop + offsetHeight + 4;

@@ -35,13 +35,15 @@ function run() {
     version: 1, fps: 1, begin: 0, frames: 1, steps: [1, 1], positions: [0, "u1", 3], rotations: [1, "u1", 4],
     opacity: [2, "u1", 1], grey: [2, "u1", 1], bodies: [{ name: "link", joint: 0, double: -1 }], meshes: [],
     geoms: [], joints: [{ torqueLimit: 5, arrow: { on: true, radius: 0.1 } }], values: {},
-    arrows: { stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty },
+    arrows: { shapes: NONE, stale: [2, "u1", 1], values: null }, items: { of: [] }, notes: { texts: [""], at: empty },
     legend: { texts: [[]], at: empty },
     cards: [], lengths: [3, 4, 1],
   };
   const text = new TextEncoder().encode(JSON.stringify(head));
   return joined(bytesOf(new Uint32Array([text.length])), text, new Uint8Array([2, 4, 6, 2, 0, 0, 0, 0]));
 }
+
+const NONE = { first: 0, step: 1, groups: [] }; // meshes of arrows
 
 test("sections are read, with payloads aligned to four bytes", () => {
   const head = '{"json": {"time": 1.5, "hover": null}, "bytes": [["stale", 3], ["grey", 1]]}';
@@ -166,7 +168,7 @@ test("the distance of a pixel from a segment is right beside it and beyond its e
 });
 
 test("any number of opaque and transparent overlays is drawn, and can be picked", () => {
-  const geoms = new Geoms(), items = new Items();
+  const geoms = new Geoms(), items = new Items({ first: 1 << 20, meshes: [] });
   const put = (/** @type {number} */ count) => {
     geoms.resize(count);
     for (let k = 0; k < count; k++) {

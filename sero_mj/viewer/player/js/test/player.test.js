@@ -12,6 +12,8 @@ const ARROW = {
   on: true, round: true, radius: 0.1, opacity: 1, scale: 0.01, band: 0.01, limit: 100, widest: 1.5,
 };
 
+const NONE = { first: 0, step: 1, groups: [] }; // meshes of arrows
+
 test("signs in the lowest bit are decoded", () => {
   assert.deepEqual([0, 1, 2, 3, 4].map(unfold), [0, -1, 1, -2, 2]);
 });
@@ -49,11 +51,11 @@ test("numbers are formatted as in Python", () => {
 });
 
 test("arrow widths grow with the square root of the value, between dead band and maximum", () => {
-  assert.equal(widthOf(ARROW, 1, 0.03), 0);
-  assert.ok(Math.abs(widthOf(ARROW, 100, 0.03) - 0.1) < 1e-12);
-  assert.ok(Math.abs(widthOf(ARROW, -25, 0.03) - 0.05) < 1e-12);
-  assert.ok(Math.abs(widthOf(ARROW, 1e6, 0.03) - 0.15) < 1e-12);
-  assert.equal(widthOf(ARROW, NaN, 0.03), 0);
+  assert.equal(widthOf(ARROW, 1, 0.03, 1), 0);
+  assert.ok(Math.abs(widthOf(ARROW, 100, 0.03, 1) - 0.1) < 1e-12);
+  assert.ok(Math.abs(widthOf(ARROW, -25, 0.03, 1) - 0.05) < 1e-12);
+  assert.ok(Math.abs(widthOf(ARROW, 1e6, 0.03, 1) - 0.15) < 1e-12);
+  assert.equal(widthOf(ARROW, NaN, 0.03, 1), 0);
 });
 
 test("boxes do not overlap, stay in their column, and have their preferred positions if possible", () => {
@@ -87,7 +89,7 @@ test("a head and its arrays are decoded, with one channel after the other", () =
   const head = {
     version: 1, fps: 1, begin: 0, frames: 2, steps: [0.5, 1], positions: moving, rotations: empty,
     opacity: empty, grey: empty, meshes: [], geoms: [], joints: [{ torqueLimit: 5 }],
-    values: { torques: [1, "f8", 2] }, arrows: { stale: empty, values: null }, items: { of: [] },
+    values: { torques: [1, "f8", 2] }, arrows: { shapes: NONE, stale: empty, values: null }, items: { of: [] },
     notes: { texts: [""], at: empty }, legend: { texts: [[]], at: empty }, cards: [],
     lengths: [4, 16],
   };
