@@ -65,7 +65,7 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
         csv: write both recordings and their difference to a table.
         table: write one row per recording to a table.
         output: write a page that plays A and B, with explanations of the difference on the
-            timeline.
+            timeline, or a report (.md).
         render: render a video of A with the difference as arrows, and a transparent double for B.
         tolerance_torque: maximum difference in measured torques, in Nm or N; exit with 1 if
             exceeded.
@@ -88,7 +88,9 @@ class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     plot: Figure | None = None
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
     table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    output: Annotated[Path | None, ending(".html"), Option("OUT.html", ("-o", "--output"))] = None
+    output: Annotated[
+        Path | None, ending(".html", ".md"), Option("OUT.html", ("-o", "--output"))
+    ] = None
     render: Annotated[Path | None, ending(*VIDEO_FORMATS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
@@ -170,7 +172,12 @@ def _compare_two(options: CompareOptions) -> int:
         from ..study.plot import plot_pair
 
         plot_pair(pair, options.plot, explanations=explanations or ())
-    if options.output is not None:
+    if options.output is not None and options.output.suffix.lower() == ".md":
+        from ..study.verdict_report import write_markdown
+
+        verdicts = explanations or []
+        write_markdown(pair, differences, verdicts, about, options.output, options.plot)
+    elif options.output is not None:
         _page(pair, options.output, explanations or [], options)
     if options.render is not None:
         _render(pair, options.render, options)

@@ -37,7 +37,7 @@ class TrendOptions(CompareOptions):
             (default: 50).
         junit: write the trends as JUnit XML for CI.
         output: write a page that plays A and B, with explanations of the difference on the
-            timeline; with --baseline, a page that shows the trends.
+            timeline, or a report (.md); with --baseline, a page that shows the trends.
     """
 
     title: ClassVar[str] = "trends over many recordings"
@@ -55,6 +55,8 @@ skipped. The exit status is 1 if a parameter changed beyond --tolerance-change. 
     def check_combination(self) -> None:
         if self.baseline is not None:
             self.refuse(_OF_PAIRS, " cannot be combined with --baseline")
+            if self.output is not None and self.output.suffix.lower() != ".html":
+                raise ValueError(f"--output: found '{self.output}'; expected .html with --baseline")
         else:
             self.refuse(_OF_TRENDS, " needs --baseline")
             super().check_combination()

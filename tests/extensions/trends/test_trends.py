@@ -212,6 +212,7 @@ def test_unusable_baseline_is_an_error(nights: Path, capsys: pytest.CaptureFixtu
         (["--tolerance-change", "5"], "--tolerance-change needs --baseline"),
         (["--baseline", "b", "--offset", "auto"], "--offset cannot be combined with --baseline"),
         (["--baseline", "b", "--each"], "--each cannot be combined with --baseline"),
+        (["--baseline", "b", "-o", "t.md"], "found 't.md'; expected .html with --baseline"),
         (["--baseline", "b", "--limit", "0"], "--limit: found '0'; expected a number above 0"),
     ],
 )
