@@ -329,3 +329,25 @@ def kind_of(table: Any, kinds: Collection[str]) -> str:
         *others, last = map(repr, kinds)
         raise Problem("kind", "is required", expected=f"{', '.join(others)} or {last}").error()
     raise Problem("kind", "no kind", found=kind, available=kinds).error()
+
+
+def changed_fields(declaration: Declaration, *excluded: str) -> dict[str, Any]:
+    """Returns the fields without default values, except for `excluded`, as types of TOML."""
+    changed = {}
+    for key, field in type(declaration).model_fields.items():
+        value = getattr(declaration, key)
+        default = field.get_default(call_default_factory=True)
+        if key not in excluded and plain(value) != plain(default):
+            changed[key] = plain(value)
+    return changed
+
+
+def plain(value: Any) -> Any:
+    """Converts arrays to lists, and declarations to the tables of their changed fields."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: plain(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(each) for each in value]
+    return changed_fields(value) if hasattr(type(value), "model_fields") else value

@@ -245,7 +245,9 @@ def next_lines(explanations: Sequence[Explanation]) -> list[str]:
     wanted: dict[str, list[str]] = {}
     for each in explanations:
         if each.next:
-            wanted.setdefault(each.next, []).append(f"{each.joint} ({each.kind})")
+            known = each.kind != "unexplained"  # others are only similar
+            causes = ", or ".join((each.kind, *(each.alternatives if known else ())))
+            wanted.setdefault(each.next, []).append(f"{each.joint} ({causes})")
     return [f"next for {', '.join(dict.fromkeys(faults))}: {text}"
             for text, faults in wanted.items()]  # fmt: skip
 

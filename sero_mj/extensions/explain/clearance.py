@@ -30,6 +30,9 @@ class Clearance:
         start: joint values at the start, shape (n,), rad or m.
         poses: random joint values, shape (K, n).
 
+    Attributes:
+        notes: sentences about links whose distances are unknown.
+
     Raises:
         UsageError: the robot touches itself or something else at the start.
     """
@@ -49,6 +52,10 @@ class Clearance:
         for body in range(1, model.nbody):
             own = body in model.dof_bodyid[part.dofs]
             self._rigid[body] = body if own else self._rigid[model.body_parentid[body]]
+        shown = set(self._rigid[model.geom_bodyid].tolist())  # this model has no visual geometry
+        bare = [self._named(body) for body in sorted({*self._rigid.tolist()} - shown - {0})]
+        text = "no collision shapes are declared, so distances are not checked"
+        self.notes = [f"{', '.join(bare)}: {text}"] if bare else []
         self._required = np.full((model.nbody, model.nbody), distance)
         self._ignore_overlaps(poses)
         for _, pairs, distances in self._contacts(start[None], distance):

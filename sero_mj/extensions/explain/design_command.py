@@ -146,7 +146,7 @@ def summarize(found: Excitation, periods: int = 1) -> dict[str, Any]:
         summary["torque"] = None
     distance, between, row = found.clearance.nearest(found.motion(times).angles)
     summary["distance"] = {"minimum": distance, "between": between, "time": float(times[row])}
-    notes = list(limits.notes)
+    notes = [*limits.notes, *found.clearance.notes]
     if condition > _LARGE:
         notes.append("the motion hardly excites some parameters; choose another pose with --start")
     return summary | {"notes": notes}
@@ -169,5 +169,9 @@ def as_lines(summary: dict[str, Any]) -> list[str]:
         lines.append(f"{kind}: at most {used['share']:.0%} of {limit} ({where})")
     near = summary["distance"]
     where = f"{near['between']} at {near['time']:.2f} s"
-    far = f"at least {near['minimum']:.3f} m ({where})" if near["between"] else "more than 1 m"
+    far = (
+        f"at least {near['minimum']:.3f} m ({where})"
+        if near["between"]
+        else "unknown, or more than 1 m"
+    )
     return [*lines, f"distance: {far}", *(f"note: {text}" for text in summary["notes"])]

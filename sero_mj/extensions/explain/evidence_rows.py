@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 
 from ...base.frames import Array, Bools
 from ...study.evidence import Evidence, Side, count_left_out
-from ...study.explanation import Kind, Part
+from ...study.explanation import Explanation, Kind, Part
 from .torque_residuals import TorqueResiduals
 
 SIDES: tuple[Side, Side] = ("link", "drive")
@@ -41,6 +44,24 @@ def evidence_at(
     )  # fmt: skip
 
 
+def with_log_evidence(
+    faults: Sequence[Explanation], recorded: TorqueResiduals, correct: TorqueResiduals
+) -> list[Explanation]:
+    """Returns faults of the log with the residuals of the recorded and of the correct signals."""
+    names, found = recorded.robot.names, []
+    for fault in faults:
+        before = np.stack([recorded.link, recorded.motor])
+        others = [k for k, name in enumerate(names) if name not in fault.joints]
+        before[:, :, others] = np.nan
+        side, joint = worst_joint(before, recorded.scale)
+        after = (correct.motor if side else correct.link)[:, joint]
+        evidence = evidence_at(
+            recorded, joint, side, before[side, :, joint], after, fault.kind, fault.part
+        )
+        found.append(replace(fault, evidence=evidence))
+    return found
+
+
 def torque_unit(found: TorqueResiduals, joint: int) -> str:
     """Returns the unit of the torques of a joint."""
     return "Nm" if _is_revolute(found, joint) else "N"
@@ -48,6 +69,8 @@ def torque_unit(found: TorqueResiduals, joint: int) -> str:
 
 def _quantity(kind: Kind, part: Part) -> str:
     # Name of the quantity on which the effect of a fault depends.
+    if part == "angles":
+        return "angle"
     is_driven = part in ("drive", "commands", "commanded torques")
     torque = "commanded torque" if is_driven else "model torque"
     of_kind: dict[Kind, str] = {

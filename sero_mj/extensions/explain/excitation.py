@@ -21,7 +21,7 @@ trajectories for the identification of base inertial parameters of robots, IJRR 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -29,6 +29,7 @@ from ...base.errors import Problem, UsageError
 from ...base.frames import Array
 from ...robots.assemble.friction_torques import SLOW, friction_of
 from ...robots.assemble.robot_dynamics import robot_dynamics
+from ...robots.declared.mounts import base_frames, carrier, unmounted
 from ...robots.declared.robot import SerialRobot
 from ...robots.declared.scene import Scene
 from ...simulate.control.target_motions import Chirp, Motion
@@ -244,17 +245,21 @@ def design_excitation(
     if robot.free_base:
         reason = f"the base of '{name}' moves freely, so joint torques do not determine its motion"
         raise UsageError(f"{reason}; expected a robot with a fixed base")
+    robot = unmounted(robot, base_frames(scene.robots)[name])
     limits, coupled = MotionLimits.of(robot, share), robot.coupled
+    if carried := [each for each in scene.robots if carrier(scene.robots[each]) == name]:
+        limits.notes.append(f"torques do not include the loads {', '.join(carried)}")
     begin = _start(robot, limits, start)
     rng = np.random.default_rng(seed)
     low, high = limits.positions.T
     poses = coupled.positions(rng.uniform(low, high, (_SAMPLES, coupled.k)))
     space = Clearance(scene, name, clearance, coupled.positions(begin), poses)
-    regressor = Regressor(robot, limits, rng)
-    search = _Search(regressor, limits, space, FourierSeries(period, harmonics), begin)
-    coefficients, factor = search.best(rng, progress), 1.0
+    series = FourierSeries(period, harmonics)
+    rest = np.zeros((series.count, coupled.k))
+    found = Excitation(Regressor(robot, limits, rng), limits, space, series, begin, rest)
+    coefficients, factor = _Search(found).best(rng, progress), 1.0
     while factor > _MIN_FACTOR:
-        found = Excitation(regressor, limits, space, search.series, begin, factor * coefficients)
+        found = replace(found, coefficients=factor * coefficients)
         if not (exceeded := found.exceeded()):
             return found
         factor *= _REDUCTION
@@ -281,16 +286,9 @@ class _Search:
     # Optimizes unbounded numbers x (count, k), which a smooth function maps to coefficients within
     # the bounds of positions and velocities. Torques and distances out of bounds add to the cost.
 
-    def __init__(
-        self,
-        regressor: Regressor,
-        limits: MotionLimits,
-        clearance: Clearance,
-        series: FourierSeries,
-        start: Array,
-    ) -> None:
-        self._regressor, self._limits, self._clearance = regressor, limits, clearance
-        self.series, self._start = series, start
+    def __init__(self, rest: Excitation) -> None:
+        self._rest = rest
+        series, limits, start = rest.series, rest.limits, rest.start
         rows = max(_ROWS, _ROWS_PER_HARMONIC * series.harmonics)
         self._samples = series.at((np.arange(rows) + 0.5) * series.period / rows)
         many = _POSES_PER_ROW * rows
@@ -302,7 +300,7 @@ class _Search:
 
     def best(self, rng: np.random.Generator, progress: Progress | None) -> Array:
         """Returns the coefficients with the lowest cost, shape (count, k)."""
-        x = rng.normal(size=(_DRAWS, self.series.count, len(self._start)))
+        x = rng.normal(size=(_DRAWS, *self._rest.coefficients.shape))
         x *= rng.uniform(*_DRAWN_SHARES, (_DRAWS, 1, x.shape[2])) / self._shares(x * self._scale)
         found, done, total = [], 0, _STARTS * _EVALUATIONS
 
@@ -328,7 +326,7 @@ class _Search:
         q, v = self._samples[0] @ coefficients, self._samples[1] @ coefficients
         below, above = self._room
         used = [np.maximum(-q, 0.0) / below, np.maximum(q, 0.0) / above]
-        shares = np.concatenate([*used, np.abs(v) / self._limits.velocities], axis=1)
+        shares = np.concatenate([*used, np.abs(v) / self._rest.limits.velocities], axis=1)
         largest = shares.max(axis=1, keepdims=True)
         powers = ((shares / largest) ** _SHARPNESS).sum(axis=1, keepdims=True)
         return np.asarray(largest * powers ** (1.0 / _SHARPNESS))
@@ -345,14 +343,14 @@ class _Search:
         return np.concatenate([self._costs_of(part) for part in np.array_split(x, parts)])
 
     def _costs_of(self, x: Array) -> Array:
-        coefficients, (B, _, k) = self._coefficients(x), x.shape
+        rest, coefficients, (B, _, k) = self._rest, self._coefficients(x), x.shape
         q, v, a = ((each @ coefficients).reshape(-1, k) for each in self._samples)
-        columns, torques = self._regressor.at(self._start + q, v, a)
-        information = self._regressor.information(columns, B)
+        columns, torques = rest.regressor.at(rest.start + q, v, a)
+        information = rest.regressor.information(columns, B)
         determinants = np.linalg.slogdet(information)[1] / information.shape[1]
-        used = self._limits.used(self._start + q, v, torques)["torque"].reshape(B, -1)
-        poses = (self._start + self._poses @ coefficients).reshape(-1, k)
-        near = self._clearance.shortfalls(self._regressor.robot.coupled.positions(poses))
+        used = rest.limits.used(rest.start + q, v, torques)["torque"].reshape(B, -1)
+        poses = (rest.start + self._poses @ coefficients).reshape(-1, k)
+        near = rest.clearance.shortfalls(rest.regressor.robot.coupled.positions(poses))
         penalty = _TORQUE_PENALTY * (np.maximum(used - 1.0, 0.0) ** 2).sum(axis=1)
         penalty += _DISTANCE_PENALTY * near.reshape(B, -1).sum(axis=1)
         return np.asarray(np.log(condition_number(information)) - determinants + penalty)

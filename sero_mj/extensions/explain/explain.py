@@ -58,7 +58,7 @@ from ...study.explanation import (
 )
 from .corrected_angles import with_correct_angles
 from .direct_faults import noisy_sensors, stuck_joints, stuck_sensors, wrong_drives
-from .evidence_rows import merged, rows_line
+from .evidence_rows import merged, rows_line, with_log_evidence
 from .explain_search import Search
 from .identify import identify, parameters
 from .log_faults import log_faults
@@ -90,7 +90,8 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
         found = torque_residuals(log, robot)
     faults, log = log_faults(log, robot, found)
     if faults:
-        found = replace(torque_residuals(log, robot), no_model=found.no_model)
+        recorded, found = found, replace(torque_residuals(log, robot), no_model=found.no_model)
+        faults = with_log_evidence(faults, _by_known_links(recorded), found)
     explained = _explain_correct(log, robot, found)
     if (correct := with_correct_angles(log, robot, explained)) is not None:
         fault, log = correct
@@ -264,7 +265,10 @@ def _both(
     faults, a = log_faults(a, robots[0], first)
     faults_of_b, b = log_faults(b, robots[1], second)
     if faults:
-        first = torque_residuals(a, robots[0])
+        recorded, first = first, torque_residuals(a, robots[0])
+        faults = with_log_evidence(faults, recorded, first)
+    if faults_of_b:
+        faults_of_b = with_log_evidence(faults_of_b, second, torque_residuals(b, robots[1]))
     second = torque_residuals(b, robots[1], times=first.times - offset)
     moved = replace(second, times=first.times, noise=second.noise.later(offset))
     of_b = [replace(each, begin=each.begin + offset, is_second=True) for each in faults_of_b]

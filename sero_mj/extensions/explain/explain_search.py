@@ -28,7 +28,7 @@ from .effects import (
 )
 from .evidence_rows import evidence_at, worst_joint
 from .goodness import limited, unexplained_share
-from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
+from .torque_residuals import DELAYS, TorqueResiduals, effects_of_motors
 
 MIN_EFFECT = 5e-4  # share of the torque limit; root mean square while the fault acts
 MIN_ROWS = 8  # minimum number of rows in an interval
@@ -138,19 +138,18 @@ class Search:
 
     def _undeclared(self) -> list[_Fit]:
         # Friction and inertia of motors that are not declared are fitted along with the faults.
-        motion, keys = self.found.motion, self.found.undeclared
-        if self.found.torque_control:
-            keys = tuple(key for key in keys if key == OF_MOTORS[0])
-        effects = (motion.accelerations, motion.velocities, motion.signs)
-        columns = dict(zip(OF_MOTORS, effects, strict=True))
-        fits = []
-        for joint in range(self.n if keys else 0):
-            X = np.zeros((*self.y.shape, len(keys)))
-            scaled = np.stack([columns[key][:, joint] for key in keys], axis=-1)
+        found = self.found
+        effects = effects_of_motors(
+            found.motion, found.undeclared, torque_control=found.torque_control
+        )
+        fits, count = [], len(effects)
+        for joint in range(self.n if effects else 0):
+            X = np.zeros((*self.y.shape, count))
+            scaled = np.stack([each[:, joint] for each in effects], axis=-1)
             scaled /= self.sigma[1, :, joint, None]
             known = self.known[1, :, joint, None] & np.isfinite(scaled)
             X[1, :, joint] = np.where(known, scaled, 0.0)
-            zero, wide = np.zeros(len(keys)), np.full(len(keys), SHARE * self.found.scale[joint])
+            zero, wide = np.zeros(count), np.full(count, SHARE * found.scale[joint])
             whole = 0, self.edges.end
             fits.append(_Fit(joint, "friction", "joint", None, X, wide, whole, 0.0, zero, zero))
         return fits

@@ -49,12 +49,12 @@ class Regression:
     covariance: Array
     inflation: Array
 
-    def estimates(self, reason: str) -> list[Estimate]:
+    def estimates(self, reason: str, max_inflation: float = _MAX_INFLATION) -> list[Estimate]:
         """Returns the estimates, and `reason` for those that are not identifiable."""
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
         return [
             Estimate(float(value), float(error))
-            if each < _MAX_INFLATION
+            if each < max_inflation
             else Estimate(None, None, reason)
             for value, error, each in zip(self.values, errors, self.inflation, strict=True)
         ]
@@ -74,7 +74,8 @@ def regression(
         drift: change of the data by the standard deviation of the unknown delay between `X` and
             `y`, shape (K, s).
     """
-    H = np.einsum("ksp,ksq->pq", X, X) + np.diag(np.broadcast_to(priors, X.shape[2]))
+    flat = X.reshape(-1, X.shape[2])
+    H = flat.T @ flat + np.diag(np.broadcast_to(priors, X.shape[2]))
     scale = np.sqrt(np.maximum(np.diag(H), 1e-300))
     inverse = np.linalg.pinv(H / np.outer(scale, scale), rcond=1e-13, hermitian=True)
     inflation = np.diag(inverse).copy()
@@ -82,7 +83,7 @@ def regression(
     # Linearly dependent columns have an infinite inflation.
     resolved = np.diag(inverse @ H)
     inflation[(resolved < 0.999) | (scale < 1e-9)] = np.inf
-    values = inverse @ np.einsum("ksp,ks->p", X, y)
+    values = inverse @ (flat.T @ y.ravel())
     scores = np.einsum("ksp,ks->kp", X, y - X @ values)
     used = int((X != 0.0).any(axis=(1, 2)).sum())
     S = scores.T @ scores
@@ -95,7 +96,7 @@ def regression(
     S *= facts / max(facts - len(values), 1) * _short_run_factor(lags / max(used, 1)) ** 2
     covariance = inverse @ S @ inverse
     if drift is not None:
-        shift = inverse @ np.einsum("ksp,ks->p", X, drift)
+        shift = inverse @ (flat.T @ drift.ravel())
         covariance = covariance + np.outer(shift, shift)
     return Regression(values, covariance, inflation)
 

@@ -22,7 +22,7 @@ and regressors). Khalil and Dombre, Modeling, Identification and Control of Robo
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -151,6 +151,8 @@ class TorqueResiduals:
         coulomb: declared Coulomb friction, shape (n,), Nm.
         torque_control: whether joint torque control is active.
         no_model: reason why `link` is invalid, such as undeclared masses; empty if it is valid.
+        filtered: low-pass filters the torques (T, ...) that a function returns for the joint
+            values, velocities and accelerations (T, n) of all rows; returns shape (K, ...).
         undeclared: keys of `[dynamics]` that are not declared. The friction and motor inertia of
             `motor` are then fitted to this run, so that only their changes are visible.
         left_out: mapping from reasons to the rows without residuals of link and motor for this
@@ -171,6 +173,7 @@ class TorqueResiduals:
     coulomb: Array
     torque_control: bool
     no_model: str
+    filtered: Callable[[Callable[[Array, Array, Array], Array]], Array]
     undeclared: tuple[str, ...] = ()
     left_out: Mapping[str, Bools] = field(default_factory=dict)
 
@@ -274,9 +277,11 @@ def torque_residuals(
     for each in (plain, looped):
         each[reverses] = np.nan
     undeclared = tuple(key for key in OF_MOTORS if key in dynamics.estimated)
-    effects = dict(zip(OF_MOTORS, (acceleration, smooth, signs), strict=True))
-    plain = _without_fit(plain, [effects[key] for key in undeclared])
-    looped = _without_fit(looped, [effects[key] for key in undeclared if key == OF_MOTORS[0]])
+    motion = JointMotion(
+        smooth, signs, acceleration, slow, np.stack([low_pass(each) for each in (q, v, a)])
+    )
+    plain = _without_fit(plain, effects_of_motors(motion, undeclared, torque_control=False))
+    looped = _without_fit(looped, effects_of_motors(motion, undeclared, torque_control=True))
     scale = _scale(robot, measured)
     if torque_control is None:
         # The fit of more parameters is always closer.
@@ -295,7 +300,6 @@ def torque_residuals(
         late_commanded=np.stack([low_pass(_later(commanded, step, each)) for each in DELAYS]),
         payload=low_pass(body_torques(robot, q, v, a)),
     )
-    links = np.stack([low_pass(each) for each in (q, v, a)])
     held = tuple(_held(at, each) for each in measured.T)
     return TorqueResiduals(
         robot=robot,
@@ -304,7 +308,7 @@ def torque_residuals(
         motor=looped if torque_control else plain,
         lag=low_pass(lag),
         torques=torques,
-        motion=JointMotion(smooth, signs, acceleration, slow, links),
+        motion=motion,
         noise=SensorNoise(rough, at[1] + windows, held),
         width=low_pass.width,
         sample_time=step,
@@ -312,6 +316,7 @@ def torque_residuals(
         coulomb=dynamics.coulomb_friction,
         torque_control=torque_control,
         no_model=_why_no_model(robot, log, dynamics.estimated),
+        filtered=lambda torques: low_pass(torques(q, v, a)),
         undeclared=undeclared,
         left_out=_left_out(
             low_pass,
@@ -326,6 +331,19 @@ def torque_residuals(
             reverses=reverses,
         ),
     )
+
+
+def effects_of_motors(
+    motion: JointMotion, keys: Sequence[str], *, torque_control: bool
+) -> list[Array]:
+    """Returns the motor torques per unit of some of `OF_MOTORS`, shape (K, n) each.
+
+    Joint torque control compensates friction, so that only the inertia has an effect.
+    """
+    effects = dict(
+        zip(OF_MOTORS, (motion.accelerations, motion.velocities, motion.signs), strict=True)
+    )
+    return [effects[key] for key in keys if key == OF_MOTORS[0] or not torque_control]
 
 
 def pair_with_model(log: RunLog, found: TorqueResiduals) -> Pair:

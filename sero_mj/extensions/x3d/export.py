@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Mapping
 from pathlib import Path
 from textwrap import fill
 from typing import TYPE_CHECKING, Any
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import mujoco
 import numpy as np
 
+from ...base.declaration import changed_fields, plain
 from ...base.errors import Problem, UsageError, raise_any
 from ...base.frames import Array, frame, rotation_about, rotation_from_quat
 from ...cli.arguments import check_new, read_scene, writing
@@ -20,7 +20,6 @@ from .importer import X3d
 from .writer import face_set, shape_lines, x3d_text
 
 if TYPE_CHECKING:
-    from ...base.declaration import Declaration
     from ...cli.export import ExportOptions
     from ...robots.declared.robot import SerialRobot
     from ...robots.declared.robot_parts import LinkGeometry
@@ -113,18 +112,18 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
     sources = {}
     for key, source in wire(scene).sources.items():
         fields = source.model_dump(by_alias=True, exclude_defaults=True, exclude={"name"})
-        sources[key] = {"kind": source.kind, **_plain(fields)}
+        sources[key] = {"kind": source.kind, **plain(fields)}
     tables: dict[str, Any] = {
         "description": scene.description,
         "note": scene.note,
         "robots": {key: robot_table(robot, output, files) for key, robot in scene.robots.items()},
         "sources": sources,
         "routes": dict(scene.routes),
-        "objects": {item.name: _changed(item, "name", "directory") for item in scene.objects},
-        "cameras": {key: _changed(camera) for key, camera in scene.cameras.items()},
-        "lights": {key: _changed(light) for key, light in scene.lights.items()},
-        "view": _changed(scene.view),
-        "toggles": _changed(scene.toggles),
+        "objects": {item.name: changed_fields(item, "name", "directory") for item in scene.objects},
+        "cameras": {key: changed_fields(camera) for key, camera in scene.cameras.items()},
+        "lights": {key: changed_fields(light) for key, light in scene.lights.items()},
+        "view": changed_fields(scene.view),
+        "toggles": changed_fields(scene.toggles),
         "decor": {key: dict(table) for key, table in scene.decor.items()},
         "groups": scene.groups,
         "doubles": scene.doubles,
@@ -136,12 +135,12 @@ def scene_tables(scene: Scene, output: Path, files: dict[Path, str]) -> dict[str
 
 def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dict[str, Any]:
     """Returns the table of a robot for `scene_tables`, without fields that have default values."""
-    table = _changed(robot, *_OTHER_FORMS)
+    table = changed_fields(robot, *_OTHER_FORMS)
     if robot.dh is not None:
         dh = robot.dh
         table["dh_params"] = np.column_stack([dh.alpha, dh.a, dh.theta, dh.d]).tolist()
     if robot.children:
-        table["children"] = [_changed(child, "directory") for child in robot.children]
+        table["children"] = [changed_fields(child, "directory") for child in robot.children]
     for key in ("filenames", "directory", "colors", "mesh_scale"):
         table.pop(key, None)
     if not robot.filenames:
@@ -165,27 +164,7 @@ def robot_table(robot: SerialRobot, output: Path, files: dict[Path, str]) -> dic
 
 def _is_vrml(part: LinkGeometry) -> bool:
     is_file = part.file is not None and Path(part.file).suffix.lower() == ".wrl"
-    return is_file and not _changed(part, "file")
-
-
-def _changed(declaration: Declaration, *excluded: str) -> dict[str, Any]:
-    changed = {}
-    for key, field in type(declaration).model_fields.items():
-        value = getattr(declaration, key)
-        default = field.get_default(call_default_factory=True)
-        if key not in excluded and _plain(value) != _plain(default):
-            changed[key] = _plain(value)
-    return changed
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, np.ndarray):
-        return value.tolist()
-    if isinstance(value, Mapping):
-        return {key: _plain(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(each) for each in value]
-    return _changed(value) if hasattr(type(value), "model_fields") else value
+    return is_file and not changed_fields(part, "file")
 
 
 def link_files(robot: SerialRobot) -> dict[str, str]:

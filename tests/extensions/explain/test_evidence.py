@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from explain_runs import BEGIN, swing
 
+from sero_mj.base.errors import UsageError
 from sero_mj.extensions.explain.explain import TorqueExplainer, explain, explain_run
 from sero_mj.extensions.explain.next_motion import _NEXT
 from sero_mj.extensions.explain.torque_residuals import (
@@ -20,11 +21,13 @@ from sero_mj.extensions.explain.torque_residuals import (
     torque_residuals,
 )
 from sero_mj.simulate.runs.run_log import RunLog
+from sero_mj.study import plot
 from sero_mj.study.compare import as_json, compare, next_lines
 from sero_mj.study.evidence import Evidence, count_left_out
 from sero_mj.study.explanation import Explanation, Kind
 from sero_mj.study.explanation_marks import marks_of_explanations
 from sero_mj.study.plot import plot_pair
+from sero_mj.study.verdict_report import write_markdown
 
 FRICTION = json.dumps({"kind": "friction", "added_coulomb": 1.5, "joints": ["A2"]})
 
@@ -141,6 +144,9 @@ def test_next_experiment_names_joint_and_angle(friction: Explanation) -> None:
     }
     same = [replace(found, joint=joint) for joint in ("A3", "A4")]
     assert next_lines(same) == [f"next for A3 (bias), A4 (bias): {found.next}"]
+    similar = replace(found, alternatives=("payload of the flange",))
+    (line,) = next_lines([similar])
+    assert line == f"next for A3 (bias, or payload of the flange): {found.next}"
 
 
 def test_rows_are_reported_for_one_and_for_two_runs() -> None:
@@ -170,17 +176,19 @@ def test_mark_has_the_plots_of_its_joint(friction: Explanation) -> None:
     log = swing(FRICTION)
     pair = pair_with_model(log, torque_residuals(log, "lwr"))
     (mark,) = marks_of_explanations(pair, [friction])
-    plot, evidence = mark.plot, evidence_of(friction)
-    assert plot is not None and (mark.text, plot.joint) == ("A2: friction +1.5 Nm", "lwr/A2")
+    shown, evidence = mark.plot, evidence_of(friction)
+    assert shown is not None and (mark.text, shown.joint) == ("A2: friction +1.5 Nm", "lwr/A2")
     assert mark.begin + pair.times[0] == pytest.approx(BEGIN, abs=0.03)
-    assert (plot.label, plot.quantity) == ("A2, drive side [Nm]", "over velocity [deg/s]")
-    assert plot.times[0] == 0.0 and len(plot.times) == len(evidence.times)
-    known = [each for each in plot.before if each is not None]
+    assert (shown.label, shown.quantity) == ("A2, drive side [Nm]", "over velocity [deg/s]")
+    assert shown.times[0] == 0.0 and len(shown.times) == len(evidence.times)
+    known = [each for each in shown.before if each is not None]
     np.testing.assert_allclose(known, evidence.before[np.isfinite(evidence.before)], rtol=1e-4)
-    assert f"next: {friction.next}" in plot.notes and evidence.rows_text in plot.notes
+    assert f"next: {friction.next}" in shown.notes and evidence.rows_text in shown.notes
 
 
-def test_figure_shows_evidence_below_or_on_a_page(friction: Explanation, tmp_path: Path) -> None:
+def test_figure_shows_evidence_below_or_on_a_page(
+    friction: Explanation, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     log = swing(FRICTION)
     pair = pair_with_model(log, torque_residuals(log, "lwr"))
     plot_pair(pair, tmp_path / "one.svg", joints=["A2"], explanations=[friction])
@@ -188,6 +196,22 @@ def test_figure_shows_evidence_below_or_on_a_page(friction: Explanation, tmp_pat
     for expected in ("A2: friction +1.5 Nm, 99 %", "next: move A2 at constant", "velocity, deg/s",
                      "left out: "):  # fmt: skip
         assert expected in text
+    monkeypatch.setattr(plot, "PER_PAGE", 1)
     with mpl.rc_context({"pdf.compression": 0}):
-        plot_pair(pair, tmp_path / "two.pdf", joints=["A2"], explanations=[friction] * 7)
+        plot_pair(pair, tmp_path / "two.pdf", joints=["A2"], explanations=[friction] * 2)
     assert (tmp_path / "two.pdf").read_bytes().count(b"/Type /Page ") == 3
+
+
+def test_markdown_has_verdicts_rows_and_the_figure(friction: Explanation, tmp_path: Path) -> None:
+    log = swing(FRICTION)
+    pair = pair_with_model(log, torque_residuals(log, "lwr"))
+    path = tmp_path / "report.md"
+    write_markdown(pair, compare(pair), [friction], ["a note"], path, tmp_path / "figure.svg")
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# swing minus its model: lwr\n\n- a note\n\n## A2: friction: +1.5 ")
+    assert f"- next: {friction.next}\n" in text and "![evidence](figure.svg)" in text
+    assert f"- used: {evidence_of(friction).rows_text}\n" in text
+    row = next(each for each in text.splitlines() if each.startswith("| A2 | torques |"))
+    assert row.count("|") == 6
+    with pytest.raises(UsageError, match=r"cannot write .*missing"):
+        write_markdown(pair, [], [], [], tmp_path / "missing" / "report.md")

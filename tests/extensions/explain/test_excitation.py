@@ -22,7 +22,7 @@ from sero_mj.cli import main
 from sero_mj.extensions.explain import excitation
 from sero_mj.extensions.explain.base_parameters import BaseParameters, standard_torques
 from sero_mj.extensions.explain.clearance import Clearance
-from sero_mj.extensions.explain.design_command import write_motion
+from sero_mj.extensions.explain.design_command import as_lines, summarize, write_motion
 from sero_mj.extensions.explain.excitation import Excitation, FourierSeries, design_excitation
 from sero_mj.extensions.explain.identify import identify
 from sero_mj.extensions.explain.link_torques import body_torques, link_torques
@@ -56,7 +56,8 @@ def quick() -> Any:
     """Shortens the search."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(excitation, "_DRAWS", 40)
-        patch.setattr(excitation, "_EVALUATIONS", 4)
+        patch.setattr(excitation, "_STARTS", 1)
+        patch.setattr(excitation, "_EVALUATIONS", 5)
         yield
 
 
@@ -170,6 +171,23 @@ def test_robot_touches_neither_itself_nor_the_floor(lwr: Excitation) -> None:
     assert least == pytest.approx(exact, abs=2e-3)
 
 
+def test_torques_of_a_mounted_robot_are_those_of_its_pose(quick: None) -> None:
+    # A robot that lies on its side: the first joint moves about a horizontal axis.
+    bare = {**ARM, "collisions": [], "torque_limits": None}
+    below = SerialRobot(**{**bare, "name": "below", "base_frame": {"rpy": [0.0, np.pi / 2, 0.0]}})
+    above = SerialRobot(**{**bare, "mount": "below/base"})
+    alone = SerialRobot(**{**bare, "base_frame": below.base_frame})
+    mounted, other = (
+        design_excitation(Scene(robots=robots, floor=False), "arm", period=PERIOD)
+        for robots in ([below, above], [alone])
+    )
+    np.testing.assert_allclose(
+        mounted.regressor.at(*other.independent(TIMES))[1], other.torques(TIMES), atol=1e-9
+    )
+    carrying = design_excitation(Scene(robots=[below, above], floor=False), "below", period=PERIOD)
+    assert "torques do not include the loads arm" in carrying.limits.notes
+
+
 def test_floor_limits_the_motion(quick: None) -> None:
     robot = SerialRobot.from_model("lwr", joint_angles=np.deg2rad([0, 95, 0, 20, 0, 0, 0]))
     found = design_excitation(Scene(robots=[robot]), "lwr", period=PERIOD, clearance=0.05)
@@ -243,6 +261,17 @@ def test_collision_at_the_start_is_reported_and_permanent_overlap_is_not() -> No
         Clearance(Scene(robots=[robot]), "lwr", 0.02, down, poses)
     # If it touches in all poses, as overlapping shapes do, it is ignored.
     Clearance(Scene(robots=[robot]), "lwr", 0.02, down, np.tile(down, (40, 1)))
+
+
+def test_links_without_collision_shapes_are_reported() -> None:
+    robot, start = SerialRobot(**ARM, collisions=[]), np.zeros(3)
+    space = Clearance(Scene(robots=[robot]), "arm", 0.02, start, start[None])
+    text = "no collision shapes are declared, so distances are not checked"
+    assert space.notes == [f"arm/link1, arm/link2, arm/link3: {text}"]
+    assert np.isinf(space.nearest(start[None])[0])
+    robot = SerialRobot.from_model("lwr")
+    start = np.zeros(7)
+    assert Clearance(Scene(robots=[robot]), "lwr", 0.02, start, start[None]).notes == []
 
 
 LOAD, AT = 2.0, np.array([0.02, 0.03, 0.08])
@@ -364,17 +393,29 @@ def test_command_writes_table_figure_and_summary(
     )
     table, figure = tmp_path / "excite.csv", tmp_path / "excite.svg"
     cell = ("--design", "--scene", tmp_path / "cell.toml", "--period", 4, "--rate", 100)
-    assert command("identify", *cell, "--robot", "two", "-o", table, "--plot", figure) == 0
-    out = capsys.readouterr().out
-    assert out.startswith("two: 4 s, moves ")
-    assert "condition number: " in out and "no torque limits are declared" in out
+    out = ("-o", table, "--plot", figure, "--json")
+    assert command("identify", *cell, "--robot", "two", *out) == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert summary["robot"] == "two" and summary["duration"] == 4.0
+    assert summary["velocity"]["share"] <= 0.8001
+    assert summary["torque"] is None  # a SCARA without torque limits
     assert len(table.read_text(encoding="utf-8").splitlines()) == 402
     assert "two: motion for identification" in figure.read_text(encoding="utf-8")
-    assert command("identify", *cell, "--robot", "one", "--json") == 0
-    summary = json.loads(capsys.readouterr().out)
-    assert summary["duration"] == 4.0 and summary["velocity"]["share"] <= 0.8001
     assert command("identify", *cell) == 2
     assert "has several robots; expected one of one, two" in capsys.readouterr().err
+
+
+def test_summary_names_joints_limits_and_notes(arm: Excitation) -> None:
+    summary = summarize(arm, periods=3)
+    first, second, *lines = as_lines(summary)
+    assert first == "arm: 18 s, moves turn, slide, and with them follow"
+    assert second.startswith(f"condition number: {arm.condition()[0]:.3g} for ")
+    used = arm.used(TIMES)["velocity"]
+    joint = ["turn", "slide"][int(used.max(axis=0).argmax())]
+    assert f"velocity: at most {SHARE * used.max():.0%} of the limit ({joint} at " in "\n".join(
+        lines
+    )
+    assert sum(line.startswith("note: ") for line in lines) == len(summary["notes"]) >= 2
 
 
 @pytest.mark.parametrize(
