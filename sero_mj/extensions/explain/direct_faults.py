@@ -16,7 +16,7 @@ from .explain_search import MIN_ROWS
 from .torque_residuals import TorqueResiduals
 
 _MIN_STUCK = 0.4  # s, minimum duration
-# Duration in s below which a weak drive may also hold a joint at rest, and the highest confidence.
+# Duration in s below which other causes have the same effect, and the highest confidence.
 _SHORT, _OF_SHORT = 1.0, 0.85
 _MOVING_QUANTILE = 0.95  # of the torques with which the drives overcame friction
 _NOISE_RATIO = 2.0  # minimum increase of reported noise
@@ -61,8 +61,10 @@ def wrong_drives(found: TorqueResiduals, min_duration: float) -> list[Explanatio
         evidence = evidence_at(
             found, joint, 1, error, _less(error, twice, first, last), "sign", "drive"
         )
+        is_short = (last - first) * found.step < _SHORT and last < len(found.times) - 1
+        confidence = _OF_SHORT if is_short else MAX_CONFIDENCE
         explanations.append(Explanation(
-            name, "sign", "drive", -1.0, "", np.nan, MAX_CONFIDENCE, float(found.times[first]),
+            name, "sign", "drive", -1.0, "", np.nan, confidence, float(found.times[first]),
             None if last >= len(found.times) - 1 else float(found.times[last - 1]),
             False, {}, (name,), evidence=evidence,
         ))  # fmt: skip

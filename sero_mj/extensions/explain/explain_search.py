@@ -38,7 +38,7 @@ _MIN_SHARE = 0.08  # share of the largest effect at a joint; smaller effects are
 _MIN_CONFIDENCE = 0.5  # of a kind; below, torques are unexplained
 _SIDES: tuple[Part, Part] = ("joint", "drive")  # parts of torques that are unexplained
 _UNDECLARED = 0.8  # highest confidence of a drive fault from the start if friction is undeclared
-# Gain below which a torque hardly depends on what it should follow, and the highest confidence of
+# Gain below which a torque hardly follows what it should follow, and the highest confidence of
 # this gain. A controller that compensates a large disturbance of its drive causes the same torques.
 _NO_GAIN, _OF_NO_GAIN = 0.1, 0.8
 _SIMILAR = 6.0  # difference of scores below which the odds are less than 20
@@ -569,7 +569,7 @@ class Search:
             confidence = limited(confidence, self._unexplained_share(fit), self._ratio(fit))
             if self.undeclared and fit.edges == (0, self.edges.end) and not fit.columns[0].any():
                 confidence = min(confidence, _UNDECLARED)
-            if kind == "gain" and abs(size.size) < _NO_GAIN:
+            if kind == "gain" and size.size < _NO_GAIN:
                 confidence = min(confidence, _OF_NO_GAIN)
         torques = (fit.columns @ fit.parameters) * self.sigma
         evidence = self._evidence(fit, torques)
