@@ -108,7 +108,7 @@ wheel: .venv/.test
 	  -o dist/sbom.json .peers/wheel/bin/python
 	cd dist && sha256sum *.whl *.tar.gz sbom.json > SHA256SUMS
 
-OLDEST := figures,fmu,foxglove,gltf,gymnasium,notebook,ros2,xacro,zenoh,camera
+OLDEST := figures,fmu,foxglove,gltf,gymnasium,identify,notebook,ros2,xacro,zenoh,camera
 oldest: .venv/.test
 	$(BIN)/python -m pip install --quiet uv
 	$(BIN)/uv venv --quiet --clear --python $(BIN)/python .peers/oldest

@@ -6,19 +6,19 @@ import math
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import create_model, model_validator
 
 from ..base.declaration import expecting
 from ..base.errors import UsageError
 from ..base.options import NotNegative, Option, ending, positional
+from ..base.plugins import COMPARISONS, load_all
 from ..study.explanation import OF_ONE_RUN
 from ..viewer.image.image_options import VIDEO_FORMATS, SizeOptions, VideoOptions
-from .arguments import command, print_json, print_table, print_wrapped, progress_bar
-from .compare_trend import TrendOptions, run_trend
-from .shared_options import Figure
+from .arguments import Commands, command, print_json, print_table, print_wrapped, progress_bar
+from .shared_options import EngineOptions, Figure, Flag, JsonOptions, RunOptions
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -32,68 +32,77 @@ _HELP = """\
 examples:
   sero-mj compare simulated.mcap real.mcap --offset auto --plot difference.pdf
   sero-mj compare good.mcap runs/*.mcap --table table.csv   one row per recording
-  sero-mj compare nightly/*.mcap --baseline good.mcap -o trend.html   friction over weeks
+  sero-mj compare --each runs/*.mcap                        commanded and measured torques
 
 Differences are A minus B. Time starts at the beginning of a simulation, or at the first packet of a
 robot. For each joint, the report explains the difference: sign, gain, bias, delay or noise of a
 torque sensor or drive, friction, a payload, or a stuck joint. Several recordings are compared in
 parallel by local processes or by the workers of a Dask cluster, and the report has one row for each
 recording. The exit status is 1 if a tolerance is exceeded, and 2 if a recording cannot be compared.
-
-With --baseline, the report shows friction, offsets, gravity errors, torque errors and temperatures
-of each joint over time, with change points and drifts. Recordings that cannot be compared are
-skipped. The exit status is 1 if a parameter changed beyond --tolerance-change.
 """
 GROUP, ORDER = "analyze", 40
 _WIDTH = 70  # maximum width of explanations in a table of many recordings, characters
-_TREND_OPTIONS = ("junit", "limit", "tolerance_change")
 _BATCH_OPTIONS = ("b", "more", "each", "table", "jobs", "engine", "scheduler", "ship")
 
 
-class CompareOptions(SizeOptions, TrendOptions):
+class CompareOptions(SizeOptions, RunOptions, JsonOptions, EngineOptions):
     """Compare recordings of a robot, joint by joint.
 
+    A subclass that an entry point of the group `sero_mj.comparisons` names adds options and
+    comparisons.
+
     Attributes:
+        notes: paragraphs of the help that the class adds.
         a: first recording or table (.csv).
         b: second recording or table (default: compare commanded and measured torques of A).
         more: further recordings to compare with A.
         each: compare commanded and measured torques in each recording.
         against_model: compare A with the robot's model in the same motion.
+        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
         source: source to read; NAME,NAME for A and B (default: all sources).
         offset: offset in seconds added to the times of B; auto estimates it from the motion.
         plot: draw a figure: .png, .pdf or .svg.
         csv: write both recordings and their difference to a table.
+        table: write one row per recording to a table.
+        output: write a page that plays A and B, with explanations of the difference on the
+            timeline, or a report (.md).
         render: render a video of A with the difference as arrows, and a transparent double for B.
         tolerance_torque: maximum difference in measured torques, in Nm or N; exit with 1 if
             exceeded.
         tolerance_angle: maximum difference in joint values, in degrees or mm; exit with 1 if
             exceeded.
+        as_json: print the result as JSON.
+        quiet: print no table and no progress bar.
     """
 
+    notes: ClassVar[str] = ""
     a: Annotated[Path, positional("A.mcap")]
     b: Annotated[Path | None, positional("B.mcap")] = None
     more: Annotated[list[Path], positional("MORE.mcap")] = []
     each: bool = False
     against_model: bool = False
+    robot: Flag = None
     offset: Annotated[
         float | Literal["auto"], expecting("a number of seconds, or auto"), Option("S|auto")
     ] = 0.0
     plot: Figure | None = None
     csv: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
+    output: Annotated[
+        Path | None, ending(".html", ".md"), Option("OUT.html", ("-o", "--output"))
+    ] = None
     render: Annotated[Path | None, ending(*VIDEO_FORMATS), Option("OUT.mp4")] = None
     tolerance_torque: Annotated[NotNegative | None, Option("NM")] = None
     tolerance_angle: Annotated[NotNegative | None, Option("DEG")] = None
+    quiet: bool = False
 
     @model_validator(mode="after")
-    def _check_second(self) -> Self:
-        if self.baseline is not None:
-            others = ("each", "against_model", "offset", "plot", "csv", "render")
-            tolerances = ("tolerance_torque", "tolerance_angle")
-            self.refuse((*others, *tolerances), " cannot be combined with --baseline")
-            if self.output is not None and self.output.suffix.lower() == ".md":
-                raise ValueError("--output: found .md; expected .html with --baseline")
-            return self
-        self.refuse(_TREND_OPTIONS, " needs --baseline")
+    def _check_combination(self) -> Self:
+        self.check_combination()
+        return self
+
+    def check_combination(self) -> None:
+        """Raises ValueError or UsageError if the options cannot be combined."""
         if self.b is not None and self.against_model and not self.each:
             expected = "one recording, or the option --each"
             raise ValueError(f"--against-model: found a second recording; expected {expected}")
@@ -105,24 +114,27 @@ class CompareOptions(SizeOptions, TrendOptions):
             self.refuse(("plot", "output", "render", "csv"), why)
         else:
             self.refuse(("jobs", "engine"), " needs --table or --each")
-        return self
 
     @property
     def is_batch(self) -> bool:
         """Whether the result has one row per recording."""
         return self.each or bool(self.more) or self.table is not None
 
+    def compare(self) -> int:
+        """Compares the recordings.
 
-def run(options: CompareOptions) -> int:
-    """Compares recordings.
+        Returns 0, 1 if a tolerance is exceeded, or 2 if a recording cannot be compared.
+        """
+        return _compare_many(self) if self.is_batch else _compare_two(self)
 
-    Returns 0, 1 if a tolerance is exceeded, or 2 if a recording cannot be compared. For trends, see
-    `run_trend`.
-    """
-    if options.baseline is not None:
-        recordings = [path for path in (options.a, options.b, *options.more) if path is not None]
-        return run_trend(options, options.baseline, recordings)
-    return _compare_many(options) if options.is_batch else _compare_two(options)
+
+def add_to(commands: Commands) -> None:
+    """Adds the command, with the options of all comparisons, to the program's parser."""
+    kinds = load_all(COMPARISONS, CompareOptions).values()
+    summary, *_ = str(CompareOptions.__doc__).splitlines()
+    kind = create_model("AllOptions", __base__=(*kinds, CompareOptions), __doc__=summary)
+    text = "\n".join([_HELP, *(each.notes for each in kinds)])
+    command("compare", kind.compare, kind, text)(commands)
 
 
 def _compare_two(options: CompareOptions) -> int:
@@ -261,9 +273,6 @@ def _table_of(rows: Rows, signals: Mapping[str, str], title: str) -> Table:
         error = f"not examined: {row['error'].removeprefix(f'{path}: ')}"
         table.add_row(str(path), *cells, row.get("faults", error) or "no difference found")
     return table
-
-
-add_to = command("compare", run, CompareOptions, _HELP)
 
 
 _Compared = tuple["Pair", "list[Explanation] | None", list[str]]

@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from ..base.frames import Array
-from ..base.reduction import rms
-from ..data.record.csv_files import is_table
-from ..data.record.formats import look_into
-from ..simulate.runs.run_log import RunLog, event_of, torque_error
-from .compare import unit_of
-from .explanation import Parameter, find_explainer
+from ...base.frames import Array
+from ...base.reduction import rms
+from ...data.record.csv_files import is_table
+from ...data.record.formats import look_into
+from ...simulate.runs.run_log import RunLog, event_of, torque_error
+from ...study.compare import unit_of
+from ...study.explanation import Parameter, find_explainer
 
 _MIN_CHANGE = 1e-3  # share of the torque limit, smallest change of a torque error that matters
 _MIN_HEATING = 5.0  # smallest change of a temperature that matters, K

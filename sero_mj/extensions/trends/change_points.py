@@ -20,7 +20,7 @@ from statistics import NormalDist
 
 import numpy as np
 
-from ..base.frames import Array
+from ...base.frames import Array
 
 _KEPT = 0.8  # share of the successive differences that determine the Birge ratio
 _MIN_DIFFERENCES = 6  # minimum number of differences for estimating it

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..base.errors import UsageError
-from ..base.frames import Array
+from ...base.errors import UsageError
+from ...base.frames import Array
+from ...study.explanation import Parameter
+from ...study.junit import TestCase
 from .change_points import Segment, fit_segments, scatter
-from .explanation import Parameter
-from .junit import TestCase
 from .measured import DEGREES, Measured
 
 if TYPE_CHECKING:
@@ -23,8 +23,10 @@ if TYPE_CHECKING:
 _CHANCE = 0.05  # probability of a change point in a report of a robot that does not change
 _HORIZON = 3650.0  # days; later dates are not predicted
 _MAX_ROWS = 60  # maximum number of rows of a table in the terminal
+_DAY = 86400.0  # s
 _DATES = ("%Y-%m-%d", "%Y-%m-%d %H:%M", "%Y-%m-%d %H:%M:%S")
 _TIMES = ("%H:%M", "%H:%M:%S")  # if all dates are of the same day
+NUMBERS = ("baseline", "last", "change", "significance")  # headings of columns with numbers
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,9 +35,8 @@ class Trend:
 
     Attributes:
         parameter: the parameter in the baseline.
-        recordings: paths of the recordings.
-        dates: local times of the recordings.
-        date_texts: dates as text.
+        runs: recordings.
+        dates: dates of the recordings as text.
         values: values, shape (n,).
         errors: standard errors, shape (n,); NaN if unknown.
         segments: fit by `fit_segments`.
@@ -45,9 +46,8 @@ class Trend:
     """
 
     parameter: Parameter
-    recordings: Sequence[str]
-    dates: Sequence[datetime]
-    date_texts: Sequence[str]
+    runs: Sequence[Measured]
+    dates: Sequence[str]
     values: Array
     errors: Array
     segments: Sequence[Segment]
@@ -63,7 +63,7 @@ class Trend:
     @cached_property
     def times(self) -> Array:
         """Times of the recordings since the epoch, shape (n,), s."""
-        return np.array([date.timestamp() for date in self.dates])
+        return times_of(self.runs)
 
     @property
     def latest(self) -> int:
@@ -81,68 +81,9 @@ class Trend:
         return self._fit(self.latest)
 
     @property
-    def significance(self) -> float:
-        """The magnitude of the change from the baseline to the last recording, in its errors."""
-        last, base = self.latest, self.baseline
-        segment, reference = self._segment_of(last), self._segment_of(base)
-        if segment is not reference or segment.slope:
-            errors = segment.error_at(self.times[last]), reference.error_at(self.times[base])
-            return float(abs(self.last - self.reference) / np.hypot(*errors))
-        spread = scatter(self.times, self.values, self.errors)
-        change = self.values[last] - self.values[base]
-        return float(abs(change) / np.hypot(spread[last], spread[base]))
-
-    @property
     def is_changed(self) -> bool:
         """Whether the fit changes from the baseline to the last recording beyond the tolerance."""
-        return self.is_relevant(self.last - self.reference)
-
-    def is_relevant(self, change: float) -> bool:
-        """Returns whether a change exceeds the tolerance and the smallest change that matters."""
-        least = max(self.tolerance * abs(self.reference), self.parameter.min_change)
-        return abs(change) > least
-
-    @property
-    def steps(self) -> list[int]:
-        """Indexes of the first recordings after the relevant steps."""
-        return [after.begin for after in self.segments[1:] if self.is_relevant(self._step(after))]
-
-    @property
-    def events(self) -> list[str]:
-        """Sentences about the relevant steps, the drift, and the date of the limit."""
-        unit = self.parameter.unit
-        told = []
-        for k in self.steps:
-            low, high = self._fit(k - 1), self._fit(k)
-            verb = "rose" if high > low else "fell"
-            told.append(
-                f"{self.name} {verb} from {_shown(low, high - low)} to {_shown(high, high - low)} "
-                f"{unit}{self._percent(high - low, low)} between {self.date_texts[k - 1]} and "
-                f"{self.date_texts[k]}"
-            )
-        segment = self.segments[-1]
-        if segment.slope and (told or self.is_changed or self.limit_date is not None):
-            verb = "rises" if segment.slope > 0.0 else "falls"
-            per_day, error = 86400.0 * abs(segment.slope), 86400.0 * segment.slope_error
-            text = (
-                f"{self.name} {verb} by {_shown(per_day, per_day)} ± {error:.1g} {unit} per day "
-                f"since {self.date_texts[segment.begin]}{self._percent_of_change}"
-            )
-            if (date := self.limit_date) is not None:
-                sign = "+" if (segment.slope > 0.0) == (self.reference > 0.0) else "-"
-                text += f"; at this rate {sign}{100.0 * self.limit:.0f} % on about {date:%Y-%m-%d}"
-            told.append(text)
-        return told
-
-    @property
-    def limit_date(self) -> datetime | None:
-        """The date at which the drift reaches the limit; None without a drift or such a date."""
-        segment, base = self.segments[-1], self.reference
-        if not segment.slope or not self._has_percent(base):
-            return None
-        target = base + self.limit * abs(base) * float(np.sign(segment.slope))
-        days = (target - self.last) / segment.slope / 86400.0
-        return self.dates[self.latest] + timedelta(days=days) if 0.0 < days < _HORIZON else None
+        return self._is_relevant(self.last - self.reference)
 
     @property
     def change(self) -> float:
@@ -150,6 +91,41 @@ class Trend:
         if self.is_changed:
             return self.last - self.reference
         return float(self.values[self.latest] - self.values[self.baseline])
+
+    @property
+    def significance(self) -> float:
+        """The magnitude of the change in its standard errors."""
+        both = [self.latest, self.baseline]
+        errors = scatter(self.times, self.values, self.errors)[both]
+        if self.is_changed:
+            errors = np.array([self._segment_of(k).error_at(self.times[k]) for k in both])
+        return float(abs(self.change) / np.linalg.norm(errors))
+
+    @property
+    def steps(self) -> list[int]:
+        """Indexes of the first recordings after the relevant steps."""
+        begins = [segment.begin for segment in self.segments[1:]]
+        return [k for k in begins if self._is_relevant(self._fit(k) - self._fit(k - 1))]
+
+    @property
+    def events(self) -> list[str]:
+        """Sentences about the relevant steps, the drift, and the date of the limit."""
+        told = [self._step_text(k) for k in self.steps]
+        has_drift = bool(self.segments[-1].slope)
+        if has_drift and (told or self.is_changed or self.limit_date is not None):
+            told.append(self._drift_text())
+        return told
+
+    @property
+    def limit_date(self) -> datetime | None:
+        """The date at which the drift reaches the limit; None without a drift or such a date."""
+        slope, base = self.segments[-1].slope, self.reference
+        if not slope or not self._has_percent(base):
+            return None
+        target = base + self.limit * abs(base) * float(np.sign(slope))
+        days = (target - self.last) / slope / _DAY
+        latest = self.runs[self.latest].date
+        return latest + timedelta(days=days) if 0.0 < days < _HORIZON else None
 
     @property
     def shown_change(self) -> str:
@@ -167,32 +143,62 @@ class Trend:
     def shown_at(self) -> str:
         """The date of the last relevant step or of the start of the drift; otherwise empty."""
         if self.steps:
-            return self.date_texts[self.steps[-1]]
-        is_told = self.segments[-1].slope and self.events
-        return f"since {self.date_texts[self.segments[-1].begin]}" if is_told else ""
+            return self.dates[self.steps[-1]]
+        return f"since {self.dates[self.segments[-1].begin]}" if self.events else ""
 
     def shown_value(self, index: int) -> str:
         """Returns the value of a recording with its standard error, as text without the unit."""
         value, error = self.values[index], self.errors[index]
-        if not error > 0.0:
-            return f"{value:.3g}"
-        return f"{_shown(value, error)} ± {error:.1g}"
+        return _with_error(value, error) if error > 0.0 else f"{value:.3g}"
 
-    @property
-    def _percent_of_change(self) -> str:
-        return self._percent(self.last - self.reference, self.reference) if self.is_changed else ""
+    def cells(self) -> dict[str, str]:
+        """Returns the row of the trend in tables, by heading."""
+        return {
+            "joint": self.parameter.joint,
+            "parameter": f"{self.parameter.label}, {self.parameter.unit}",
+            "baseline": self.shown_value(self.baseline),
+            "last": self.shown_value(self.latest),
+            "change": self.shown_change,
+            "at": self.shown_at,
+            "significance": f"{self.significance:.1f}",
+            "verdict": "changed" if self.is_changed else "ok",
+        }
+
+    def _step_text(self, k: int) -> str:
+        low, high, unit = self._fit(k - 1), self._fit(k), self.parameter.unit
+        change = high - low
+        return (
+            f"{self.name} {'rose' if change > 0.0 else 'fell'} from {_rounded(low, change)} to "
+            f"{_rounded(high, change)} {unit}{self._percent(change, low)} between "
+            f"{self.dates[k - 1]} and {self.dates[k]}"
+        )
+
+    def _drift_text(self) -> str:
+        segment, change = self.segments[-1], self.last - self.reference
+        rate = _with_error(_DAY * abs(segment.slope), _DAY * segment.slope_error)
+        text = (
+            f"{self.name} {'rises' if segment.slope > 0.0 else 'falls'} by {rate} "
+            f"{self.parameter.unit} per day since {self.dates[segment.begin]}"
+        )
+        if self.is_changed:
+            text += self._percent(change, self.reference)
+        if (date := self.limit_date) is not None:
+            sign = "+" if (segment.slope > 0.0) == (self.reference > 0.0) else "-"
+            text += f"; at this rate {sign}{100.0 * self.limit:.0f} % on about {date:%Y-%m-%d}"
+        return text
+
+    def _is_relevant(self, change: float) -> bool:
+        least = max(self.tolerance * abs(self.reference), self.parameter.min_change)
+        return abs(change) > least
 
     def _percent(self, change: float, base: float) -> str:
-        if not self._has_percent(base):
-            return ""
-        return f" ({round(100.0 * change / abs(base)):+d} %)"
+        return f" ({round(100.0 * change / abs(base)):+d} %)" if self._has_percent(base) else ""
 
     def _has_percent(self, base: float) -> bool:
         # An offset of zero or a temperature in degrees has no meaningful relative change.
         error = float(np.nan_to_num(self.errors[self.baseline]))
-        return self.parameter.unit != DEGREES and abs(base) > max(
-            3.0 * error, self.parameter.min_change
-        )
+        least = max(3.0 * error, self.parameter.min_change)
+        return self.parameter.unit != DEGREES and abs(base) > least
 
     def _segment_of(self, index: int) -> Segment:
         return next(each for each in self.segments if each.begin <= index < each.end)
@@ -200,14 +206,20 @@ class Trend:
     def _fit(self, index: int) -> float:
         return self._segment_of(index).at(self.times[index])
 
-    def _step(self, after: Segment) -> float:
-        return self._fit(after.begin) - self._fit(after.begin - 1)
+
+def _with_error(value: float, error: float) -> str:
+    return f"{_rounded(value, error)} ± {_rounded(error, error)}"
 
 
-def _shown(value: float, precision: float) -> str:
+def _rounded(value: float, precision: float) -> str:
     # With two digits of the precision.
     size = abs(precision) if precision else 1.0
-    return f"{value + 0.0:.{int(np.clip(1 - np.floor(np.log10(size)), 0, 6))}f}"
+    return f"{value:z.{int(np.clip(1 - np.floor(np.log10(size)), 0, 6))}f}"
+
+
+def times_of(runs: Sequence[Measured]) -> Array:
+    """Returns the times of recordings since the epoch, shape (n,), s."""
+    return np.array([run.date.timestamp() for run in runs])
 
 
 def find_trends(
@@ -225,27 +237,26 @@ def find_trends(
         UsageError: there is no such parameter.
     """
     runs = sorted([baseline, *others], key=lambda run: run.date)
-    texts = dict(zip(map(id, runs), date_texts([run.date for run in runs]), strict=True))
+    dates = date_texts([run.date for run in runs])
     by_key = [{each.key: each for each in run.parameters if each.value is not None} for run in runs]
     series = []
     for wanted in baseline.parameters:
-        known = [(run, found[wanted.key]) for run, found in zip(runs, by_key, strict=True)
-                 if wanted.key in found]  # fmt: skip
+        known = [k for k, found in enumerate(by_key) if wanted.key in found]
         if wanted.value is not None and len(known) > 1:
             series.append((wanted, known))
     if not series:
         raise UsageError(f"no recording has a parameter in common with {baseline.path}")
     trends = []
     for wanted, known in series:
-        times = np.array([run.date.timestamp() for run, _ in known])
-        values = np.array([each.value for _, each in known], float)
-        errors = np.array([each.error for _, each in known], float)  # None becomes NaN
-        found = [run for run, _ in known]
-        segments = fit_segments(times, values, errors, _CHANCE / len(series))
+        found = [by_key[k][wanted.key] for k in known]
+        values = np.array([each.value for each in found], float)
+        errors = np.array([each.error for each in found], float)  # None becomes NaN
+        used = [runs[k] for k in known]
+        segments = fit_segments(times_of(used), values, errors, _CHANCE / len(series))
+        position = next(k for k, run in enumerate(used) if run is baseline)
         trends.append(
-            Trend(wanted, [run.path for run in found], [run.date for run in found],
-                  [texts[id(run)] for run in found], values, errors, segments,
-                  next(k for k, run in enumerate(found) if run is baseline), tolerance, limit)
+            Trend(wanted, used, [dates[k] for k in known], values, errors, segments, position,
+                  tolerance, limit)
         )  # fmt: skip
     return trends
 
@@ -267,9 +278,9 @@ def as_table(trends: Sequence[Trend], title: str) -> Table:
 
     table = Table(title=title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD,
                   caption_justify="left")  # fmt: skip
-    for heading in ("joint", "parameter", "baseline", "last", "change", "at", "verdict"):
-        is_number = heading in ("baseline", "last", "change")
-        table.add_column(heading, justify="right" if is_number else "left", no_wrap=True)
+    headings = [heading for heading in trends[0].cells() if heading != "significance"]
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading in NUMBERS else "left", no_wrap=True)
     shown = list(trends)
     if len(trends) > _MAX_ROWS:
         ranked = sorted(trends, key=lambda each: (each.is_changed, each.significance))
@@ -277,32 +288,30 @@ def as_table(trends: Sequence[Trend], title: str) -> Table:
         table.caption = f"the {_MAX_ROWS} most significant of {len(trends)}; --json prints all"
     joint = None
     for each in shown:
-        name = "" if each.parameter.joint == joint else each.parameter.joint
-        joint = each.parameter.joint
-        table.add_row(
-            name, f"{each.parameter.label}, {each.parameter.unit}",
-            each.shown_value(each.baseline), each.shown_value(each.latest), each.shown_change,
-            each.shown_at, "changed" if each.is_changed else "ok",
-        )  # fmt: skip
+        cells = each.cells()
+        cells["joint"], joint = "" if cells["joint"] == joint else cells["joint"], cells["joint"]
+        table.add_row(*(cells[heading] for heading in headings))
     return table
 
 
 def as_json(trend: Trend) -> dict[str, Any]:
     """Returns a trend as JSON types, in SI units."""
-    date = trend.limit_date
+    date, drift = trend.limit_date, trend.segments[-1]
+    recordings = [run.path for run in trend.runs]
     return {
         "joint": trend.parameter.joint,
         "parameter": trend.parameter.name,
         "unit": trend.parameter.unit,
-        "recordings": list(trend.recordings),
+        "recordings": recordings,
         "values": trend.values.tolist(),
         "errors": trend.errors.tolist(),
         "baseline": trend.reference,
         "last": trend.last,
         "significance": trend.significance,
         "changed": bool(trend.is_changed),
-        "change_points": [trend.recordings[k] for k in trend.steps],
-        "slope_per_day": 86400.0 * trend.segments[-1].slope,
+        "change_points": [recordings[k] for k in trend.steps],
+        "slope_per_day": _DAY * drift.slope,
+        "slope_error_per_day": _DAY * drift.slope_error,
         "limit_date": None if date is None else f"{date:%Y-%m-%d}",
         "events": trend.events,
     }

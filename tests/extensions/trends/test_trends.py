@@ -19,12 +19,12 @@ from runs import record_packets
 from sero_mj.base.reduction import rms_with_error
 from sero_mj.cli import main
 from sero_mj.data.record.recording_format import RecordingClock
-from sero_mj.study import measured as measured_file
-from sero_mj.study.change_points import fit_segments
+from sero_mj.extensions.trends import measured as measured_file
+from sero_mj.extensions.trends.change_points import fit_segments
+from sero_mj.extensions.trends.measured import Measured, date_of
+from sero_mj.extensions.trends.trend import Trend, date_texts, find_trends
+from sero_mj.extensions.trends.trend_page import write_trend_page
 from sero_mj.study.explanation import Parameter
-from sero_mj.study.measured import Measured, date_of
-from sero_mj.study.trend import Trend, date_texts, find_trends
-from sero_mj.study.trend_page import write_trend_page
 
 FIRST = datetime(2026, 10, 30, 3, 15).astimezone()
 NIGHTS = 12
@@ -184,8 +184,8 @@ def test_page_draws_all_values_and_sorts_its_table(nights: Path, browser: Any) -
     assert np.ptp(np.diff(at)[1:]) < 0.2 and at[1] - at[0] < 3.0 * (at[2] - at[1])
     assert page.locator("svg a").nth(1).get_attribute("href") == "night00.mcap"
     names = [row.split("\t")[1] for row in page.locator("tbody tr").all_inner_texts()]
-    assert set(names[:2]) == {"rms torque error", "temperature"}  # the significant ones
-    for heading, column in (("baseline", 3), ("joint", 0)):
+    assert set(names[:2]) == {"rms torque error, Nm", "temperature, °C"}  # the significant ones
+    for heading, column in (("baseline", 2), ("joint", 0)):
         page.get_by_role("button", name=heading).click()
         cells = [row.split("\t")[column] for row in page.locator("tbody tr").all_inner_texts()]
         key = float if heading == "baseline" else str
@@ -212,6 +212,7 @@ def test_unusable_baseline_is_an_error(nights: Path, capsys: pytest.CaptureFixtu
         (["--tolerance-change", "5"], "--tolerance-change needs --baseline"),
         (["--baseline", "b", "--offset", "auto"], "--offset cannot be combined with --baseline"),
         (["--baseline", "b", "--each"], "--each cannot be combined with --baseline"),
+        (["--baseline", "b", "-o", "t.md"], "found 't.md'; expected .html with --baseline"),
         (["--baseline", "b", "--limit", "0"], "--limit: found '0'; expected a number above 0"),
     ],
 )
@@ -244,7 +245,7 @@ def test_drift_is_extrapolated_to_the_date_of_the_limit() -> None:
     assert (found.limit_date - FIRST).days == pytest.approx(60, abs=3)
     (text,) = found.events
     assert f"at this rate +50 % on about {found.limit_date:%Y-%m-%d}" in text
-    assert "A4 Coulomb friction rises by 0.005" in text
+    assert "A4 Coulomb friction rises by 0.00498 ± 0.00025 Nm per day since" in text
     falling = trend_of([1.2 - value for value in values])
     assert falling.limit_date is not None and "at this rate -50 %" in falling.events[0]
 

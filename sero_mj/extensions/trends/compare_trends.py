@@ -1,82 +1,94 @@
-"""Runs `sero-mj compare --baseline`: trends of a robot's parameters over many recordings."""
+"""Options of `sero-mj compare` for trends of a robot's parameters over many recordings."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from ..base.errors import UsageError
-from ..base.options import NotNegative, Option, Positive, ending
-from .arguments import print_json, print_table, print_wrapped, writing
-from .each_recording import Rows, examine_each, write_rows
-from .shared_options import EngineOptions, Flag, JsonOptions, RunOptions
+from ...base.errors import UsageError
+from ...base.options import NotNegative, Option, Positive, ending
+from ...cli.arguments import print_json, print_table, print_wrapped, writing
+from ...cli.compare import CompareOptions
+from ...cli.shared_options import RunOptions
 
 if TYPE_CHECKING:
-    from ..study.measured import Measured
+    from ...cli.each_recording import Rows
+    from .measured import Measured
+
+_OF_TRENDS = ("junit", "limit", "tolerance_change")
+_OF_PAIRS = (
+    "each", "against_model", "offset", "plot", "csv", "render", "tolerance_torque",
+    "tolerance_angle",
+)  # fmt: skip
 
 
-class TrendOptions(RunOptions, JsonOptions, EngineOptions):
-    """Options of trends, and other options for comparing many recordings.
+class TrendOptions(CompareOptions):
+    """Options of trends.
 
     Attributes:
-        robot: robot to compare; NAME,NAME if the robot's name differs in A and B.
         baseline: recording of the intact robot; report the trend of A, B, ... relative to it.
         tolerance_change: maximum change of a trend relative to the baseline, in percent; exit with
             1 if exceeded (default: 10).
         limit: relative change of a drifting parameter whose date is predicted, in percent
             (default: 50).
         junit: write the trends as JUnit XML for CI.
-        table: write one row per recording to a table.
         output: write a page that plays A and B, with explanations of the difference on the
             timeline, or a report (.md); with --baseline, a page that shows the trends.
-        as_json: print the result as JSON.
-        quiet: print no table and no progress bar.
     """
 
-    robot: Flag = None
+    title: ClassVar[str] = "trends over many recordings"
+    notes: ClassVar[str] = """\
+With --baseline, the report shows friction, offsets, gravity errors, torque errors and temperatures
+of each joint over time, with change points and drifts. Recordings that cannot be compared are
+skipped. The exit status is 1 if a parameter changed beyond --tolerance-change. Example:
+  sero-mj compare nightly/*.mcap --baseline good.mcap -o trend.html
+"""
     baseline: Annotated[Path | None, Option("GOOD.mcap")] = None
     tolerance_change: Annotated[NotNegative, Option("PERCENT")] = 10.0
     limit: Annotated[Positive, Option("PERCENT")] = 50.0
     junit: Annotated[Path | None, ending(".xml"), Option("OUT.xml")] = None
-    table: Annotated[Path | None, ending(".csv"), Option("OUT.csv")] = None
-    output: Annotated[
-        Path | None, ending(".html", ".md"), Option("OUT.html", ("-o", "--output"))
-    ] = None
-    quiet: bool = False
+
+    def check_combination(self) -> None:
+        if self.baseline is not None:
+            self.refuse(_OF_PAIRS, " cannot be combined with --baseline")
+            if self.output is not None and self.output.suffix.lower() != ".html":
+                raise ValueError(f"--output: found '{self.output}'; expected .html with --baseline")
+        else:
+            self.refuse(_OF_TRENDS, " needs --baseline")
+            super().check_combination()
+
+    def compare(self) -> int:
+        return super().compare() if self.baseline is None else _report(self, self.baseline)
 
 
 def outcomes(shared: Mapping[str, Any], file: Path) -> dict[str, Any]:
     """Measures one recording of a batch; returns it as `run`, see `EachRecording`."""
     own = {key: shared[key] for key in ("robot", *RunOptions.model_fields) if key in shared}
-    return {"run": _measured(TrendOptions(**own), file)}
+    return {"run": _measured(TrendOptions(a=file, **own), file)}
 
 
 def _measured(options: TrendOptions, file: Path) -> Measured:
-    from ..study.align import choose_robot
-    from ..study.measured import measure
+    from ...study.align import choose_robot
+    from .measured import measure
 
     log = options.read(file, options.source)
     return measure(file, log, choose_robot(log, options.robot))
 
 
-def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> int:
-    """Reports the trends of recordings.
-
-    Returns 0, 1 if a parameter changed, 2 if no recording can be used, or 130 if interrupted.
-
-    Raises:
-        SeroError: the baseline cannot be used.
-    """
-    from ..study.measured import notes_of
-    from ..study.trend import as_json, as_table, find_trends, test_cases
+def _report(options: TrendOptions, baseline: Path) -> int:
+    # Returns 0, 1 if a parameter changed, or 130 if interrupted.
+    from ...cli.each_recording import examine_each, write_rows
+    from .measured import notes_of
+    from .trend import as_json, as_table, find_trends, test_cases
 
     begin, good = time.perf_counter(), _measured(options, baseline)
     options = options.model_copy(update={"robot": good.robot})
-    same = baseline.resolve()
-    others = [path for path in dict.fromkeys(recordings) if path.resolve() != same]
+    recordings = dict.fromkeys(path for path in (options.a, options.b, *options.more) if path)
+    others = [path for path in recordings if path.resolve() != baseline.resolve()]
     rows = examine_each(
         options, f"{__name__}:outcomes", others, options.files(), quiet=options.quiet
     )
@@ -102,11 +114,11 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
         print_wrapped([*(event for each in trends for event in each.events), *notes])
     with writing():
         if options.output is not None:
-            from ..study.trend_page import write_trend_page
+            from .trend_page import write_trend_page
 
             write_trend_page(options.output, title, trends, skipped, notes)
         if options.junit is not None:
-            from ..study.junit import write_junit
+            from ...study.junit import write_junit
 
             seconds = time.perf_counter() - begin
             write_junit(options.junit, "trend", test_cases(trends, skipped), seconds=seconds)
@@ -120,9 +132,7 @@ def run_trend(options: TrendOptions, baseline: Path, recordings: list[Path]) -> 
 
 def _sorted_out(rows: Rows, good: Measured) -> tuple[list[Measured], list[tuple[str, str]]]:
     # Recordings that can be compared with the baseline, and others with the reasons.
-    from dataclasses import replace
-
-    from ..study.measured import date_of, why_not
+    from .measured import date_of, why_not
 
     used, skipped = [], []
     for path, row in rows:

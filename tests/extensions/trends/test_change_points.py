@@ -9,7 +9,7 @@ import pytest
 from scipy import stats
 
 from sero_mj.base.frames import Array
-from sero_mj.study.change_points import Segment, _penalty, fit_segments, scatter
+from sero_mj.extensions.trends.change_points import Segment, _penalty, fit_segments, scatter
 
 DAY = 86400.0
 
@@ -104,6 +104,24 @@ def test_drift_that_begins_late_is_found_with_its_start(seed: int) -> None:
     before, after = fit_segments(DAY * nights, values, np.full(30, 0.01), 0.05 / 40)
     assert before.slope == 0.0 and after.begin in range(14, 20)
     assert DAY * after.slope == pytest.approx(0.02, abs=4.0 * DAY * after.slope_error)
+
+
+# Share of the scatter that the standard errors of the recordings declare.
+@pytest.mark.parametrize("declared", [1.0, 0.2])
+@pytest.mark.parametrize("count", [13, 30])
+def test_error_of_a_drift_is_its_scatter_over_series(count: int, declared: float) -> None:
+    rng, nights = np.random.default_rng(1), np.arange(count)
+    errors, slope = np.full(count, 0.016 * declared), 0.024
+    deviations = []
+    for _ in range(400):
+        values = 0.8 + slope * nights + 0.016 * rng.standard_normal(count)
+        found = fit_segments(DAY * nights, values, errors, 0.05 / 40)
+        if len(found) == 1:
+            deviations.append((found[0].slope - slope / DAY) / found[0].slope_error)
+    assert len(deviations) > 390
+    assert np.mean(deviations) == pytest.approx(0.0, abs=3.0 / np.sqrt(400.0))
+    # If the declared errors contain all of the scatter, its minimum makes the error a bit larger.
+    assert 0.7 < np.std(deviations) < 1.15
 
 
 @pytest.mark.parametrize("count", [7, 12, 30, 200])
