@@ -10,10 +10,11 @@ from sero_mj.viewer.decor.arrow_shapes import (
     BANDS,
     COARSE,
     COPIES,
-    FINE,
     HEAD,
     RATIOS,
     SHAFT,
+    THICK,
+    THIN,
     Detail,
     depth_of,
     nearest_ratio,
@@ -37,8 +38,14 @@ def normals_of(vertices, faces):
     return np.cross(second - first, third - first)
 
 
-@pytest.mark.parametrize("detail", [FINE, COARSE])
-def test_faces_have_areas_and_point_outward(detail: Detail) -> None:
+def shape_of(ratio: float):
+    """Returns the round arrow of a ratio, and its numbers of faces."""
+    detail = THIN if ratio < 0.17 else THICK
+    return round_arrow(ratio, detail), detail
+
+
+@pytest.mark.parametrize("detail", [None, COARSE])
+def test_faces_have_areas_and_point_outward(detail: Detail | None) -> None:
     for k, (vertices, faces) in enumerate(shapes(detail)):
         normals = normals_of(vertices, faces)
         assert np.linalg.norm(normals, axis=1).min() > 1e-8
@@ -52,8 +59,9 @@ def test_faces_have_areas_and_point_outward(detail: Detail) -> None:
 
 @pytest.mark.parametrize("ratio", [*RATIOS[::4].tolist(), 0.45])
 def test_tube_is_as_wide_as_declared_and_tapers_toward_its_tail(ratio: float) -> None:
-    vertices, _ = round_arrow(ratio)
-    tube = vertices[: (FINE.tail + FINE.tube + 1) * FINE.sides].reshape(-1, FINE.sides, 3)
+    (vertices, _), detail = shape_of(ratio)
+    tube = vertices[: (detail.tail + detail.tube + 1) * detail.sides]
+    tube = tube.reshape(-1, detail.sides, 3)
     widths = np.ptp(tube[:, :, 2], axis=1)
     assert widths.max() == widths[-1] == pytest.approx(ratio, rel=1e-12)
     assert (np.diff(widths) > 0).all()
@@ -76,22 +84,22 @@ def test_tube_is_as_wide_as_declared_and_tapers_toward_its_tail(ratio: float) ->
 
 
 def test_depth_and_heads_grow_with_the_width() -> None:
-    extents = np.array([np.ptp(round_arrow(ratio)[0], axis=0) for ratio in RATIOS])
+    extents = np.array([np.ptp(shape_of(ratio)[0].vertices, axis=0) for ratio in RATIOS])
     assert (np.diff(extents, axis=0) > 0).all()
     assert (np.diff(depth_of(RATIOS)) > 0).all()
 
 
-@pytest.mark.parametrize("ratio", [0.03, 0.14, 0.45])
+@pytest.mark.parametrize("ratio", [0.03, 0.14, 0.18, 0.23, 0.45])
 def test_surface_is_within_a_pixel_of_the_ideal_at_200_pixels(ratio: float) -> None:
-    ideal, ideal_faces = round_arrow(ratio, Detail(48, 12, 96, 24))
+    ideal, ideal_faces = round_arrow(ratio, Detail(48, 64, 12, 96, 24))
     normals = normals_of(ideal, ideal_faces)
     at_vertices = np.zeros_like(ideal)
     for corner in ideal_faces.T:
         np.add.at(at_vertices, corner, normals)
     at_vertices /= np.linalg.norm(at_vertices, axis=1, keepdims=True)
-    vertices, faces = round_arrow(ratio)
+    (vertices, faces), detail = shape_of(ratio)
     pixel = np.ptp(vertices[:, 0]) / 200
-    tube, back = 2 * FINE.sides * (FINE.tail + FINE.tube), 2 * FINE.sides
+    tube, back = 2 * detail.sides * (detail.tail + detail.tube), 2 * detail.head_sides
     curved = np.delete(faces[: len(faces) // COPIES], slice(tube, tube + back), axis=0)
     points = vertices[curved].mean(axis=1)  # flat faces are farthest there
     edges = vertices[curved[:, :2]].mean(axis=1)
@@ -105,7 +113,7 @@ def test_surface_is_within_a_pixel_of_the_ideal_at_200_pixels(ratio: float) -> N
 def test_bands_enclose_the_tube_without_a_visible_step() -> None:
     for ratio in RATIOS[::5].tolist():
         distance = 0.006 * ratio
-        bands, arrow = round_bands(ratio).vertices, round_arrow(ratio).vertices
+        bands, arrow = round_bands(ratio, THICK).vertices, round_arrow(ratio, THICK).vertices
         nearest = np.sqrt(((bands[:, None] - arrow) ** 2).sum(axis=2).min(axis=1))
         assert nearest.max() == pytest.approx(distance / 2, rel=1e-6)
 
@@ -180,7 +188,7 @@ def test_a_head_of_each_arrow_is_visible_in_95_percent_of_moments() -> None:
 def sees_a_head(model: mujoco.MjModel, data: mujoco.MjData, eye, row) -> bool:
     geom = np.zeros(1, np.int32)
     vertices = vertices_of(row).reshape(COPIES, -1, 3)
-    for head in vertices[:, -FINE.head * FINE.sides :: 9]:
+    for head in vertices[:, -THIN.head * THIN.head_sides :: 4]:
         ways = head - eye
         distances = np.linalg.norm(ways, axis=1)
         free = 0

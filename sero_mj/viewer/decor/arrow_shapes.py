@@ -53,6 +53,7 @@ class Detail(NamedTuple):
 
     Attributes:
         sides: sides of a tube; a multiple of 4, or the tube would be narrower than its width.
+        head_sides: sides of a head, and of straight arrows and axes.
         tail: steps along the rounded tail.
         tube: steps along the tube.
         head: steps along the head.
@@ -60,16 +61,21 @@ class Detail(NamedTuple):
         head_bands: first and last step of each dark band on the head.
     """
 
-    sides: int = 16
-    tail: int = 3
-    tube: int = 10
-    head: int = 5
-    bands: tuple[tuple[int, int], ...] = ((2, 4), (6, 8))
-    head_bands: tuple[tuple[int, int], ...] = ((1, 3),)
+    sides: int
+    head_sides: int
+    tail: int = 2
+    tube: int = 7
+    head: int = 3
+    bands: tuple[tuple[int, int], ...] = ((1, 2), (3, 4), (5, 6))
+    head_bands: tuple[tuple[int, int], ...] = ((1, 2),)
 
 
-FINE = Detail()
-COARSE = Detail(4, 1, 3, 1, ((1, 2),), ())  # for scenes in which each triangle is a geom
+# The fewest faces with which the surface is within a pixel of the ideal one if an arrow is 200
+# pixels wide.
+THIN = Detail(8, 12, tail=1)
+THICK = Detail(12, 16, head=4, head_bands=((1, 3),))
+_THICK = 0.17  # ratio of width to radius from which arrows are thick
+COARSE = Detail(4, 4, 1, 3, 1, ((1, 2),), ())  # for scenes in which each triangle is a geom
 
 
 class Shape(NamedTuple):
@@ -125,37 +131,46 @@ def _round_rings(ratio: float, detail: Detail) -> tuple[float, list[_Rings]]:
     return distance, [tube, back, head]
 
 
-def round_arrow(ratio: float, detail: Detail = FINE) -> Shape:
+def round_arrow(ratio: float, detail: Detail) -> Shape:
     """Returns the round arrow of radius 1 with a ratio of width to radius, right-handed about z."""
-    distance, surfaces = _round_rings(ratio, detail)
-    return _copied([_bent(each, distance, detail.sides) for each in surfaces])
+    distance, (tube, *head) = _round_rings(ratio, detail)
+    surfaces = [_bent(tube, distance, detail.sides)]
+    return _copied(surfaces + [_bent(each, distance, detail.head_sides) for each in head])
 
 
-def round_bands(ratio: float, detail: Detail = FINE) -> Shape:
+def round_bands(ratio: float, detail: Detail) -> Shape:
     """Returns the dark bands of the striped round arrow with a ratio of width to radius."""
     distance, (tube, _, head) = _round_rings(ratio, detail)
-    bands = [tube.part(detail.tail + first, detail.tail + last) for first, last in detail.bands]
-    bands += [head.part(first, last) for first, last in detail.head_bands]
-    lifted = [
-        _Rings(each.along, each.depths + _LIFT * ratio, each.widths + _LIFT * ratio)
-        for each in bands
+    bands = [
+        (tube.part(detail.tail + first, detail.tail + last), detail.sides)
+        for first, last in detail.bands
     ]
-    return _copied([_bent(each, distance, detail.sides) for each in lifted])
+    bands += [(head.part(*each), detail.head_sides) for each in detail.head_bands]
+    return _copied(
+        [
+            _bent(
+                _Rings(each.along, each.depths + _LIFT * ratio, each.widths + _LIFT * ratio),
+                distance,
+                sides,
+            )
+            for each, sides in bands
+        ]
+    )
 
 
-def straight_shaft(detail: Detail = FINE) -> Shape:
+def straight_shaft(detail: Detail) -> Shape:
     """Returns the shaft of a straight arrow from z = 0 to 1, of width 1 at its front end."""
     sections = ([0.0, 0.0], [_POINT, _STRAIGHT_TAIL]), ([0.0, 1.0], [_STRAIGHT_TAIL, 1.0])
     return _joined([_upright(*each, detail) for each in sections])
 
 
-def straight_head(detail: Detail = FINE) -> Shape:
+def straight_head(detail: Detail) -> Shape:
     """Returns the head of a straight arrow from z = 0 to 1, of width 1 at its barbs."""
     sections = ([HEAD_BARBS, 0.0], [_POINT, 1.0]), ([0.0, 1.0], [1.0, _POINT])
     return _joined([_upright(*each, detail) for each in sections])
 
 
-def axis_bar(detail: Detail = FINE) -> Shape:
+def axis_bar(detail: Detail) -> Shape:
     """Returns the bar of a coordinate axis from z = 0 to 1 with a shaft of width 1."""
     neck = 1.0 - _AXIS_HEAD_LENGTH
     sections = (
@@ -168,11 +183,19 @@ def axis_bar(detail: Detail = FINE) -> Shape:
 
 
 @cache
-def shapes(detail: Detail = FINE) -> tuple[Shape, ...]:
-    """Returns all meshes: round arrows and bands by `RATIOS`, then `SHAFT`, `HEAD` and `AXIS`."""
-    ratios = RATIOS.tolist()
-    found = [make(ratio, detail) for make in (round_arrow, round_bands) for ratio in ratios]
-    return (*found, straight_shaft(detail), straight_head(detail), axis_bar(detail))
+def shapes(detail: Detail | None = None) -> tuple[Shape, ...]:
+    """Returns all meshes: round arrows and bands by `RATIOS`, then `SHAFT`, `HEAD` and `AXIS`.
+
+    Args:
+        detail: numbers of faces (default: `THIN` or `THICK`, depending on the ratio).
+    """
+    found = [
+        make(ratio, detail or (THIN if ratio < _THICK else THICK))
+        for make in (round_arrow, round_bands)
+        for ratio in RATIOS.tolist()
+    ]
+    straight = detail or THIN
+    return (*found, straight_shaft(straight), straight_head(straight), axis_bar(straight))
 
 
 BANDS = len(RATIOS)  # index of the first bands in `shapes`
@@ -222,8 +245,8 @@ def _bent(rings: _Rings, distance: float, sides: int) -> NDArray[np.float64]:
 
 def _upright(heights: list[float], widths: list[float], detail: Detail) -> NDArray[np.float64]:
     # Returns circles about the z axis, shape (n, sides, 3).
-    turn = np.arange(detail.sides) * 2.0 * np.pi / detail.sides
-    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(detail.sides)], axis=1) / 2
+    turn = np.arange(detail.head_sides) * 2.0 * np.pi / detail.head_sides
+    circle = np.stack([np.cos(turn), np.sin(turn), np.zeros(detail.head_sides)], axis=1) / 2
     return np.array(widths)[:, None, None] * circle + np.array(heights)[:, None, None] * (0, 0, 1)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -251,20 +252,21 @@ def _arrows(capture: CapturedRun, parts: PackedArrays) -> dict[str, Any]:
 
 def _shapes(parts: PackedArrays) -> dict[str, Any]:
     """Returns the meshes of arrows and axes, in groups of meshes that share their faces."""
-    shapes, first = arrow_shapes.shapes(), arrow_shapes.BANDS
-    groups = [shapes[:first], shapes[first : 2 * first], *([each] for each in shapes[2 * first :])]
+    groups = [
+        (np.stack([each.vertices.ravel() for each in group]), np.frombuffer(faces, np.intp))
+        for faces, shapes in groupby(arrow_shapes.shapes(), lambda each: each.faces.tobytes())
+        if (group := list(shapes))
+    ]
     return {
         "first": FIRST_SHAPE,
         "step": _SHAPE_STEP,
         "groups": [
             {
-                "count": len(group),
-                "vertices": parts.moving(
-                    np.stack([each.vertices.ravel() for each in group]), _SHAPE_STEP
-                ),
-                "faces": parts.put(differing(group[0].faces.ravel())),
+                "count": len(vertices),
+                "vertices": parts.moving(vertices, _SHAPE_STEP),
+                "faces": parts.put(differing(faces)),
             }
-            for group in groups
+            for vertices, faces in groups
         ],
     }
 
