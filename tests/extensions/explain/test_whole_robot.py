@@ -21,6 +21,7 @@ from sero_mj.extensions.explain.links.identify_links import (
     identify_links,
     prediction_errors,
 )
+from sero_mj.extensions.explain.links.report import as_json
 from sero_mj.extensions.explain.links.robot_files import write_identified
 from sero_mj.extensions.explain.torque_residuals import torque_residuals
 from sero_mj.robots.assemble.robot_dynamics import robot_dynamics
@@ -42,7 +43,7 @@ def heavier(spec: mujoco.MjSpec) -> None:
         body.fullinertia = np.array(body.fullinertia) * SHARES[k % 2]
 
 
-def plant(name: str, seed: int, duration: float = 8.0) -> Plant:
+def plant(name: str, seed: int, duration: float = 6.0) -> Plant:
     made = Plant(load_robot(name), np.random.default_rng(seed), duration=duration)
     made.edits.append(heavier)
     return made
@@ -134,7 +135,7 @@ def test_written_robots_can_be_read_and_explain_the_torques(tmp_path: Path, endi
     run = run_of("g3", 2)
     before = torque_residuals(run, "g3").link
     after = torque_residuals(replace(run, robots={"g3": robot}), "g3").link
-    assert (np.sqrt(np.nanmean(after**2, axis=0)) < 0.01).all()
+    assert (np.sqrt(np.nanmean(after**2, axis=0)) < 0.02).all()
     assert np.nanmean(after**2) < 1e-3 * np.nanmean(before**2)
 
 
@@ -165,6 +166,7 @@ def test_needed_parameters_are_added_and_others_are_not() -> None:
     assert found["fr3_joint4.load_friction"].value == pytest.approx(0.1, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_base_that_is_not_level_is_identified() -> None:
     made = plant("fr3", 4)
     made.edits.append(lambda spec: setattr(spec.option, "gravity", [0.3, 0.0, -9.805]))
@@ -192,13 +194,17 @@ def test_command_identifies_validates_and_writes(
     assert "base parameter" in out and "joint_7.Izz" in out
     assert "run2: errors of predicted torques" in out
     assert len(tomllib.loads(found.read_text("utf-8"))["dynamics"]["masses"]) == 8
-    assert command(*options, "--json") == 0
-    printed = json.loads(capsys.readouterr().out)
+    table, options = tmp_path / "found.csv", [files[0], "--scene", scene, "--links"]
+    assert command(*options, "--jobs", 1, "--table", table) == 0
+    assert "joint_7.Izz [kg m2]" in capsys.readouterr().out
+
+
+def test_results_are_json() -> None:
+    errors = prediction_errors(identified("g3"), run_of("g3", 2), "g3")
+    printed = json.loads(json.dumps(as_json(identified("g3"), errors)))
     assert len(printed["prediction_errors"]) == 14
     assert len(printed["parameters"]) == 43 + 5 * 7
-    table = tmp_path / "found.csv"
-    assert command(*files, "--scene", scene, "--links", "--jobs", 1, "--table", table) == 0
-    assert "joint_7.Izz [kg m2]" in capsys.readouterr().out
+    assert printed["parameters"][42]["name"] == "joint_7.Iyz"
 
 
 @pytest.mark.parametrize(
@@ -220,7 +226,7 @@ def test_runs_that_do_not_suit_are_rejected() -> None:
     run = run_of("g3", 1)
     still = {
         **run.signals,
-        "g3_joint_angles": np.tile(run.signals["g3_joint_angles"][0], (8000, 1)),
+        "g3_joint_angles": np.tile(run.signals["g3_joint_angles"][0], (6000, 1)),
     }
     with raises_with(UsageError, key="run1", reason="no joint of 'g3' moves"):
         identify_links(replace(run, signals=still, derived={}), "g3")
