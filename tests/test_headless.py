@@ -173,6 +173,23 @@ def test_arrow_geom_is_drawn_with_the_assumed_length() -> None:
     assert (200.5 - rows.min()) / per_metre == pytest.approx(length, abs=0.008)
 
 
+def test_meshes_of_arrows_are_drawn_like_triangles_of_the_same_shape() -> None:
+    limits = SerialRobot.from_model("lwr").torque_limits
+    robot = SerialRobot.from_model("lwr", torques=1.2 * limits, show_arrows=True)
+    world = World(Scene(robots=[robot]))
+    found = []
+    for has_meshes in (True, False):
+        with HeadlessRenderer(world, 640, 480) as renderer:
+            renderer.toggles.legend = renderer.toggles.status = False
+            if not has_meshes:
+                renderer.decor.first_shape = None
+            pixels = renderer.render(world.make_data()).astype(int)
+            assert renderer.decor.buffer.count == 2 * 7  # with dark bands
+            found.append(pixels[..., 0] - pixels[..., 2] > 90)  # orange
+    assert found[0].sum() > 2000
+    assert (found[0] & found[1]).sum() > 0.8 * (found[0] | found[1]).sum()
+
+
 def test_named_camera_looks_at_its_target(lwr) -> None:
     camera = Camera(position=[2.0, 1.0, 1.5], look_at=[0.1, 0.2, 0.3])
     world = World(Scene(robots=[lwr], cameras={"front": camera}))

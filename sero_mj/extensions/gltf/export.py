@@ -12,6 +12,13 @@ import numpy as np
 from ...base.errors import UsageError
 from ...base.frames import Array
 from ...cli.export import CAPTURE_OPTIONS, capture_run, report_size
+from ...viewer.decor.arrow_shapes import BANDS, RATIOS, STRIPE_RGB, nearest_ratio, shapes
+from ...viewer.decor.round_arrows import (
+    NEGATIVE_RGBA,
+    POSITIVE_RGBA,
+    TURNING_SPEED,
+    drawn_widths,
+)
 from ...viewer.player.capture import CapturedRun
 from ...viewer.player.model import field_corners, geom_colors, mesh_corners
 
@@ -58,7 +65,7 @@ class _Blob:
 
 
 def write_glb(captured: CapturedRun, path: Path) -> None:
-    """Writes the bodies of a captured run and their motion, without arrows, to a .glb file.
+    """Writes the bodies of a captured run, their motion and round arrows to a .glb file.
 
     Raises:
         UsageError: pygltflib is not installed, or the file cannot be written.
@@ -93,11 +100,14 @@ def write_glb(captured: CapturedRun, path: Path) -> None:
     animation = pygltflib.Animation(name="run")
     times = (np.arange(captured.frames) / captured.fps).astype(np.float32)
     clock = blob.put(times, _FLOAT, "SCALAR", bounds=True) if captured.frames > 1 else -1
-    roots = [
-        _add_body(captured, blob, animation, clock, b, children)
+    nodes = {
+        b: _add_body(captured, blob, animation, clock, b, children)
         for b, children in enumerate(bodies)
         if children
-    ]
+    }
+    if captured.world.has_sites:
+        _add_arrows(captured, blob, animation, clock, nodes)
+    roots = list(nodes.values())
     gltf.nodes.append(pygltflib.Node(name="world", rotation=_UP, children=roots))
     gltf.scenes.append(pygltflib.Scene(nodes=[len(gltf.nodes) - 1]))
     if animation.channels:
@@ -127,21 +137,89 @@ def _add_body(
         )
     )  # fmt: skip
     scales = np.where(visible, _SHOWN, _HIDDEN)[:, None].repeat(3, axis=1).astype(np.float32)
-    moving = (("translation", positions, "VEC3"), ("rotation", rotations, "VEC4"),
-              ("scale", scales, "VEC3"))  # fmt: skip
-    for path, values, kind in moving:
+    moving = {"translation": positions, "rotation": rotations, "scale": scales}
+    _animate(blob, animation, clock, number, moving)
+    return number
+
+
+def _animate(
+    blob: _Blob, animation: Any, clock: int, node: int, moving: dict[str, np.ndarray]
+) -> None:
+    import pygltflib
+
+    for path, values in moving.items():
         if clock < 0 or np.ptp(values, axis=0).max() < 1e-6:
             continue
         way = "STEP" if path == "scale" else "LINEAR"
+        kind = f"VEC{values.shape[1]}"
         animation.samplers.append(
             pygltflib.AnimationSampler(
                 input=clock, output=blob.put(values, _FLOAT, kind), interpolation=way
             )
         )
-        target = pygltflib.AnimationChannelTarget(node=number, path=path)
+        target = pygltflib.AnimationChannelTarget(node=node, path=path)
         channel = pygltflib.AnimationChannel(sampler=len(animation.samplers) - 1, target=target)
         animation.channels.append(channel)
-    return number
+
+
+def _add_arrows(
+    captured: CapturedRun, blob: _Blob, animation: Any, clock: int, nodes: dict[int, int]
+) -> None:
+    """Adds the round arrows of joints to the nodes of their bodies, one for each direction."""
+    joints, model = captured.world.joints, captured.world.model
+    widths = np.array([drawn_widths(joints, each, captured.limit) for each in captured.arrows])
+    angles = captured.values.get("joint_angles", np.zeros_like(widths))
+    times = captured.begin + np.arange(captured.frames) / captured.fps
+    for j in np.flatnonzero(captured.toggles.arrows & joints.revolute).tolist():
+        site, values = int(joints.centre_site[j]), captured.arrows[:, j]
+        body = int(np.searchsorted(captured.bodies, model.site_bodyid[site]))
+        for sign, (*rgb, _) in ((1.0, POSITIVE_RGBA), (-1.0, NEGATIVE_RGBA)):
+            shown = (widths[:, j] > 0.0) & (np.sign(values) == sign)
+            if not shown.any() or body not in nodes:
+                continue
+            radius = joints.arrow_radius[j]
+            ratio = int(nearest_ratio(np.median(widths[shown, j]) / radius))
+            size = np.full((captured.frames, 3), radius)
+            size[:, 2] = widths[:, j] / RATIOS[ratio]
+            turns = _turns(model.site_quat[site], TURNING_SPEED * times - sign * angles[:, j], sign)
+            over = shown & (np.abs(values) > captured.limit[j])
+            for shape, colour, visible in ((ratio, rgb, shown), (BANDS + ratio, STRIPE_RGB, over)):
+                if visible.any():
+                    look = np.array([*colour, joints.arrow_alpha[j], _METALLIC, _ROUGHNESS])
+                    scales = np.where(visible[:, None], size, _HIDDEN).astype(np.float32)
+                    node = _arrow_node(blob, shape, look, model.site_pos[site], turns[0], scales[0])
+                    blob.gltf.nodes[nodes[body]].children.append(node)
+                    moving = {"rotation": turns, "scale": scales}
+                    _animate(blob, animation, clock, node, moving)
+
+
+def _arrow_node(
+    blob: _Blob, shape: int, look: Array, place: Array, turn: np.ndarray, scale: np.ndarray
+) -> int:
+    import pygltflib
+    import trimesh
+
+    vertices, faces = shapes()[shape]
+    normals = trimesh.Trimesh(vertices, faces, process=False).vertex_normals
+    mesh = _add_mesh(blob, (vertices, np.asarray(normals), faces.ravel()), look)
+    blob.gltf.nodes.append(
+        pygltflib.Node(
+            mesh=mesh, translation=place.tolist(), rotation=turn.tolist(), scale=scale.tolist()
+        )
+    )
+    return len(blob.gltf.nodes) - 1
+
+
+def _turns(own: Array, phases: Array, sign: float) -> np.ndarray:
+    """Returns quaternions (x, y, z, w), shape (F, 4), of an arrow in the frame of its body."""
+    found = np.zeros((len(phases), 4))
+    flipped = own.copy()
+    if sign < 0:
+        mujoco.mju_mulQuat(flipped, own, np.array([0.0, 1.0, 0.0, 0.0]))  # about x
+    for quat, phase in zip(found, phases, strict=True):
+        turn = np.array([np.cos(phase / 2), 0.0, 0.0, np.sin(phase / 2)])
+        mujoco.mju_mulQuat(quat, flipped, turn)
+    return found[:, [1, 2, 3, 0]].astype(np.float32)
 
 
 def _metal(model: mujoco.MjModel, geom: int) -> tuple[float, float]:
