@@ -24,7 +24,7 @@ _MAX_HIDDEN = 0.47  # maximum hidden fraction of an arrow, as links extend on on
 _PER_SIZE, _PER_LARGE, _LARGEST = 0.06, 0.2, 0.75
 _NEIGHBOURS = 5  # number of nearest joints with arrows of similar size
 _MAX_GROWTH = 1.4  # maximum factor by which an arrow is enlarged to resemble its neighbors
-_MIN_WIDTH = 0.1  # minimum full width of an arrow, relative to its radius
+_MIN_WIDTH = 0.1  # minimum of `Sizes.full_width`
 _AXES = 2.0  # length of axes relative to the arrow radius, so that they extend out of housings
 _AT_ONE_PLACE = 0.02  # maximum distance of coincident joints, relative to the robot's extent
 _MIN_SHARE = 0.02  # minimum load of a joint, relative to the largest load of the robot
@@ -53,8 +53,8 @@ class Sizes:
     Attributes:
         link: typical distance between adjacent joints, m.
         arrow_radius: smallest radii at which links do not hide the arrows, shape (n,), m.
-        full_width: full widths of the arrows relative to their radii, shape (n,). The width is 1,
-            or less for joints that are close to each other.
+        full_width: factor of the full widths of the arrows, shape (n,): 1, or less for joints that
+            are close to each other.
         axes: lengths of the coordinate axes of the bodies that the joints move, shape (n,), m.
         load: approximate maximum gravity torques or forces of the joints, shape (n,), Nm or N.
     """

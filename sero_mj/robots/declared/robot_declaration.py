@@ -167,8 +167,8 @@ class RobotDeclaration(Declaration):
         fit_arrows: whether the radius of each arrow is fitted to the geometry of the adjacent
             links, instead of `arrow_radius`. Axes without `axes_size` then scale with the reach.
         arrow_width_scale: arrow width per torque for joints without a torque limit, m per Nm. If a
-            joint has a limit, its arrow has a width of `arrow_radius` at the limit, scaled by the
-            ratio of this value to its default of 0.01.
+            joint has a limit, its arrow has a width of 0.45 times `arrow_radius` at the limit,
+            scaled by the ratio of this value to its default of 0.01.
         torques: initial measured torques, n or k values, Nm or N; None for no data.
         commanded_torques: initial commanded torques, n or k values, Nm or N; None for no data.
         joint_accelerations: initial accelerations, n or k values, rad/s2 or m/s2; None for no data.
