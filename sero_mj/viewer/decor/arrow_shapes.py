@@ -1,4 +1,4 @@
-"""The shapes of arrows and axes, which are meshes: tapered tubes with conical heads.
+"""The shapes of arrows and axes, which are meshes: tubes with conical heads.
 
 A round arrow consists of three tubes that follow each other about the z axis. Its mesh has radius
 1. Scaling the mesh along z sets the width exactly. The depth of the tubes and the length of the
@@ -27,10 +27,10 @@ RATIOS = np.geomspace(0.02, 1.0, 17)
 # heads of its elbow at once.
 COPIES = 3
 _SWEEP = np.deg2rad(104.0)  # angle from the tail of a tube to the tip of its head
-_TAIL = 0.45  # width of the tail, fraction of the width at the neck
+_TAIL = 0.9  # width of the tail, fraction of the width at the neck
 _INSIDE = 0.94  # distance of the heads from the axis, fraction of the radius
 _FULL_HEAD = 0.06  # ratio from which heads have the minimum size; thinner arrows have smaller heads
-HEAD_BARBS = 0.22  # distance of the barbs behind the neck, fraction of the head length
+HEAD_BARBS = 0.02  # distance of the barbs behind the neck, fraction of the head length
 _POINT = 0.01  # size of tips, fraction of the size of the surface; faces need an area
 _LIFT = 0.006  # distance of the dark bands of striped arrows from the surface, widths
 
@@ -72,8 +72,8 @@ class Detail(NamedTuple):
 
 # The fewest faces with which the surface is within a pixel of the ideal one if an arrow is 200
 # pixels wide.
-THIN = Detail(8, 12, tail=1)
-THICK = Detail(12, 16, head=4, head_bands=((1, 3),))
+THIN = Detail(8, 12)
+THICK = Detail(12, 16, tail=3, head=4, head_bands=((1, 3),))
 _THICK = 0.17  # ratio of width to radius from which arrows are thick
 COARSE = Detail(4, 4, 1, 3, 1, ((1, 2),), ())  # for scenes in which each triangle is a geom
 
