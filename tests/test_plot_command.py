@@ -118,7 +118,7 @@ def test_invalid_figure_names_and_tables_are_reported(
 ) -> None:
     for arguments, said in (
         (["swing.mcap", "-o", "x.jpg"], "x.jpg'; expected a name that ends in .png"),
-        (["swing.csv", "-o", "x.png"], "a table does not describe its robots; add --scene SCENE"),
+        (["swing.csv", "-o", "x.png"], "a table does not describe its robots; add --scene with"),
         (["none.mcap", "-o", "x.png"], "none.mcap"),
     ):
         given = [folder / arguments[0], "-o", tmp_path / arguments[2]]

@@ -387,7 +387,10 @@ def read_recorded_run(
 
     if is_table(path):
         if scene is None:
-            raise UsageError(f"{path}: a table does not describe its robots; add --scene SCENE")
+            raise UsageError(
+                f"{path}: a table does not describe its robots; add --scene with a scene, the name "
+                "of a robot, or a robot file (TOML, URDF, MJCF)"
+            )
         from ..simulate.runs.tables import find_tables
 
         return find_tables(path).read_run(path, scene, source, parse_columns(columns))

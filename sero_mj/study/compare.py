@@ -227,8 +227,7 @@ def explanations_table(pair: Pair, explanations: Sequence[Explanation]) -> Table
                 confidence = f"{100.0 * each.confidence:.0f} %"
                 text = f"{each.short}, see above" if each in listed else each.text
                 if each.alternatives and each not in listed:
-                    how = "most similar to" if each.kind == "unexplained" else "or"
-                    text += f"\n{how} {', or '.join(each.alternatives)}"
+                    text += f"\n{each.or_else}"
                 table.add_row(name, text, each.when, confidence)
                 name = ""
                 listed.append(each)

@@ -150,6 +150,12 @@ class Explanation:
         return f"{self.text}, {self.when}"
 
     @property
+    def or_else(self) -> str:
+        """The alternatives as text, or the most similar causes of unexplained torques."""
+        how = "most similar to" if self.kind == "unexplained" else "or"
+        return f"{how} {', or '.join(self.alternatives)}" if self.alternatives else ""
+
+    @property
     def text(self) -> str:
         """The kind, size and location of the fault, as text."""
         size, error, unit, part = self.size, self.error, self.unit, self.part
@@ -159,7 +165,9 @@ class Explanation:
         )
         about = f"{size:.3g}{_about(error)} {unit}"
         change = f"{size:+.3g}{_about(error)} {unit}"
-        stuck = f"no motion at up to {abs(size):.3g} {unit}"
+        stuck = (
+            f"no motion, although the drive exceeds the measured torque by {abs(size):.3g} {unit}"
+        )
         if part == "torque sensor":
             stuck = f"constant {size:.4g} {unit} of the {part}"
         unknown = "on the drive side" if part == "drive" else "possibly contact or external force"

@@ -33,7 +33,7 @@ def _plot(pair: Pair, explanation: Explanation, first: float) -> MarkPlot | None
     x, y = evidence.fit(begin, explanation.end)
     notes = [f"{explanation.text}, {100.0 * explanation.confidence:.0f} %", evidence.rows_text]
     if explanation.alternatives:
-        notes.append(f"or {', or '.join(explanation.alternatives)}")
+        notes.append(explanation.or_else)
     if explanation.next:
         notes.append(f"next: {explanation.next}")
     return MarkPlot(

@@ -45,7 +45,7 @@ def _about(explanation: Explanation) -> str:
     lines = [f"## {explanation.joint}: {explanation}", ""]
     lines.append(f"- confidence: {100.0 * explanation.confidence:.0f} %")
     if explanation.alternatives:
-        lines.append(f"- or {', or '.join(explanation.alternatives)}")
+        lines.append(f"- {explanation.or_else}")
     if explanation.next:
         lines.append(f"- next: {explanation.next}")
     if explanation.evidence is not None:

@@ -77,6 +77,8 @@ _FAST_CONFIDENCE = 0.85  # of a drive that runs away, because its data is short
 # Number of joints that are rarely faulty in the same way for different reasons, the highest
 # confidence of such faults, and the relative spread of equal delays.
 _MANY, _OF_MANY, _EQUAL = 3, 0.8, 0.1
+# Kinds that are uncertain if they end before the run and the joint has unexplained torques, too.
+_OF_A_WHILE, _BESIDE_UNEXPLAINED = ("gain", "bias", "delay", "friction"), 0.8
 _OF_ONE_JOINT = ("gain", "bias", "delay", "friction drift", "spring")
 
 
@@ -98,7 +100,8 @@ def explain_run(log: RunLog, robot: str, found: TorqueResiduals | None = None) -
         found = replace(torque_residuals(log, robot), no_model=found.no_model)
         again = _explain_correct(log, robot, found)
         explained = [fault, *(each for each in again if each.part != "angles")]
-    explanations = [*faults, *_of_many_joints(explained, found.robot.names)]
+    explained = _beside_unexplained(_of_many_joints(explained, found.robot.names))
+    explanations = [*faults, *explained]
     return with_next(explanations, _by_known_links(found))
 
 
@@ -304,6 +307,17 @@ def _of_many_joints(explanations: Sequence[Explanation], names: Sequence[str]) -
         else:
             found += [replace(each, confidence=min(each.confidence, _OF_MANY)) for each in group]
     return by_place(found, names)
+
+
+def _beside_unexplained(explanations: Sequence[Explanation]) -> list[Explanation]:
+    # What is unexplained at a joint may also cause what resembles a fault for a while.
+    unknown = {each.joint for each in explanations if each.kind == "unexplained"}
+    return [
+        replace(each, confidence=min(each.confidence, _BESIDE_UNEXPLAINED))
+        if each.joint in unknown and each.kind in _OF_A_WHILE and each.end is not None
+        else each
+        for each in explanations
+    ]
 
 
 def _by_known_links(found: TorqueResiduals) -> TorqueResiduals:

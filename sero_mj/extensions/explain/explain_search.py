@@ -579,6 +579,7 @@ class Search:
             if fit.effect is not None:
                 alternatives = (_name(fit), *alternatives)
                 kind, part, confidence = "unexplained", _SIDES[side], 1.0 - confidence
+                confidence = min(confidence, MAX_CONFIDENCE)
         unit = "N" if size.unit == "Nm" and not is_revolute else size.unit
         first, last = fit.edges
         return Explanation(

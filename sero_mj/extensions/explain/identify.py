@@ -364,13 +364,18 @@ def as_toml(found: Identified) -> str:
     from ...robots.assemble.robot_dynamics import robot_dynamics
 
     declared = robot_dynamics(found.robot)
-    lines = [f"# Identified from {found.run}, {found.begin:.3f} s to {found.end:.3f} s.",
+    name = found.robot.name
+    lines = [f"# Identified from {found.run}, {found.begin:.3f} s to {found.end:.3f} s. In a scene",
+             f"# with the robot, for example from URDF, the table is [robots.{name}.dynamics].",
              "[dynamics]"]  # fmt: skip
+    inertias = [each.motor_inertia for each in found.joints]
+    known = any(each.value is not None for each in inertias)
     for key, old, estimates in (
         ("viscous_friction", declared.viscous_friction,
          [each.viscous_friction for each in found.joints]),
         ("coulomb_friction", declared.coulomb_friction,
          [each.coulomb_friction for each in found.joints]),
+        *([("motor_inertias", declared.motor_inertias, inertias)] if known else []),
     ):  # fmt: skip
         values = [
             float(before) if each.value is None else max(each.value, 0.0)

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
 _HELP = """\
 examples:
   sero-mj identify run.mcap --plot fit.pdf -o found.toml   the fit, and lines for a robot file
-  sero-mj identify runs/*.mcap --table found.csv           agreement of several recordings
   sero-mj identify run.mcap --links --validate other.mcap -o found.toml   whole robot
   sero-mj identify --design --robot lwr -o excite.csv      a motion that excites all parameters
 
