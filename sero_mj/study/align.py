@@ -293,10 +293,10 @@ def _sampled(log: RunLog, robot: str, times: Array, wanted: Array) -> dict[str, 
     }
 
 
-def at_times(times: Array, values: Array, wanted: Array) -> Array:
+def at_times(times: Array, values: Array, wanted: Array, gap: float = _GAP) -> Array:
     """Interpolates values, shape (T, n), linearly from increasing `times` to the times `wanted`.
 
-    Returns NaN in gaps and outside `times`.
+    Returns NaN outside `times` and in gaps, which are longer than `gap` (s) and than 5 intervals.
     """
     if len(times) == 1:
         return np.where(wanted[:, None] == times[0], values[0], np.nan)
@@ -310,7 +310,7 @@ def at_times(times: Array, values: Array, wanted: Array) -> Array:
     for exact, rows in ((share == 0.0, left), (share == 1.0, right)):
         result[exact] = values[rows[exact]]
     steps = np.diff(times)
-    longest = max(_GAP, _GAP_ROWS * float(np.median(steps)))
+    longest = max(gap, _GAP_ROWS * float(np.median(steps)))
     slack = 1e-6 * float(np.median(steps))
     inside = (widths > longest) & (share > 0.0) & (share < 1.0)
     outside = (wanted < times[0] - slack) | (wanted > times[-1] + slack)

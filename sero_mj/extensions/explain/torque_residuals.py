@@ -48,6 +48,7 @@ _SUPPORT = 4.0  # half width of the filter kernel in standard deviations
 _ROW_SPACING = 2.0  # spacing of the residuals in standard deviations
 MAX_ROWS = 600  # maximum number of rows of the residuals
 _MAX_READ = 120_000  # rows of a run; longer runs are decimated
+_GAP = 0.02  # s; accelerations within longer linear interpolations are wrong
 _MIN_ROWS = 12  # minimum number of rows of the residuals
 _REVERSING = 0.999  # mean sign of the velocity below which the joint reverses
 _SATURATED = 0.95  # share of the torque limit above which a drive may be saturated
@@ -390,7 +391,7 @@ def _even(log: RunLog, name: str) -> tuple[dict[str, Array], float]:
     even = times[0] + step * np.arange(int((times[-1] - times[0]) / step + 1e-6) + 1)
     if len(even) == len(times) and np.allclose(even, times, rtol=0.0, atol=1e-3 * step):
         return signals, step
-    sampled = {key: at_times(times, values, even) for key, values in signals.items()}
+    sampled = {key: at_times(times, values, even, _GAP) for key, values in signals.items()}
     return {**sampled, "t": even[:, None]}, step
 
 
