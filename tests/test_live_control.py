@@ -367,12 +367,12 @@ def test_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     rows = played.decor.buffer.rows[: played.decor.buffer.count]
     kinds = played.decor.buffer.kinds[: played.decor.buffer.count]
     items = played.decor.buffer.items[: played.decor.buffer.count]
-    (arrow,) = np.flatnonzero((kinds == 8) & (items == 0))
-    tip = rows["pos"][arrow] + 0.08 * rows["mat"][arrow][:, 2]
+    shaft, _ = np.flatnonzero((kinds == 8) & (items == 0))
+    tip = rows["pos"][shaft] + 0.08 * rows["mat"][shaft][:, 2]
     at = tuple(view.project(tip.astype(float))[0].tolist())
     assert played.steering.hover(at)
     assert played.steering.grab_handle(at) == ("", False)
-    wanted = tip + 0.05 * rows["mat"][arrow][:, 2]
+    wanted = tip + 0.05 * rows["mat"][shaft][:, 2]
     played.steering.move(tuple(view.project(wanted.astype(float))[0].tolist()))
     for _ in range(4):
         assert played.steering.drag() == ""
@@ -381,7 +381,7 @@ def test_dragged_handle_moves_the_target_and_limits_are_shown() -> None:
     assert pose[:3, 3] - start[:3, 3] == pytest.approx(0.05 * start[:3, 0], abs=2e-3)
     assert pose[:3, :3] == pytest.approx(start[:3, :3], abs=3e-3)
     # Far away: it stops, reports why, and shows the requested pose.
-    far = tip + 3.0 * rows["mat"][arrow][:, 2]
+    far = tip + 3.0 * rows["mat"][shaft][:, 2]
     played.steering.move(tuple(view.project(far.astype(float))[0].tolist()))
     for _ in range(40):
         trouble = played.steering.drag()

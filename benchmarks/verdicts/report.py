@@ -16,6 +16,7 @@ EDGES = (0.0, 0.5, 0.8, 0.9, 0.95, 0.98, 1.01)
 BINS = ("below 50 %", "50 to 80 %", "80 to 90 %", "90 to 95 %", "95 to 98 %", "98 to 99 %")
 SURE = 0.9
 Row = dict[str, Any]
+_LISTED = 0.8  # minimum confidence of listed verdicts
 
 
 def bin_of(confidence: float) -> int:
@@ -94,28 +95,25 @@ def label(verdict: Row) -> str:
 
 
 def confusion(rows: list[Row]) -> str:
-    """Returns a Markdown table: in how many runs with a fault a verdict occurs, right and wrong.
+    """Returns a Markdown table: the verdicts of at least 80 % about each fault.
 
-    `2+1` are two runs with only right verdicts of this name, and one with a wrong verdict.
+    The number behind a verdict is the number of runs in which it occurs.
     """
-    cells: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
-    for row in rows:
-        names = {label(each) for each in row["verdicts"]}
-        for name in names:
-            same = [each["right"] for each in row["verdicts"] if label(each) == name]
-            cells[row["fault"], name][not all(same)] += 1
-    columns = sorted({name for _, name in cells})
-    runs, empty = Counter(row["fault"] for row in rows), Counter(
-        row["fault"] for row in rows if not row["verdicts"]
-    )  # fmt: skip
-    lines = [
-        f"| fault | runs | nothing | {' | '.join(columns)} |",
-        f"|{'---|' * (3 + len(columns))}",
-    ]
-    for fault in runs:
-        texts = ["{}+{}".format(*cells[fault, name]) if (fault, name) in cells else ""
-                 for name in columns]  # fmt: skip
-        lines.append(f"| {fault} | {runs[fault]} | {empty[fault] or ''} | {' | '.join(texts)} |")
+    lines = ["| fault | runs | right | wrong | no verdict |", "|---|---|---|---|---|"]
+    for fault in dict.fromkeys(row["fault"] for row in rows):
+        same = [row for row in rows if row["fault"] == fault]
+        cells = []
+        for is_right in (True, False):
+            found: Counter[str] = Counter()
+            for row in same:
+                found.update({
+                    label(each) for each in row["verdicts"]
+                    if each["right"] == is_right and each["confidence"] >= _LISTED
+                })  # fmt: skip
+            cells.append("; ".join(f"{name} {count}" for name, count in found.most_common()))
+        none = sum(not row["verdicts"] for row in same)
+        name = fault.replace("_", " ")
+        lines.append(f"| {name} | {len(same)} | {cells[0]} | {cells[1]} | {none or ''} |")
     return "\n".join(lines)
 
 
@@ -181,6 +179,6 @@ def whole(rows: list[Row]) -> str:
         "Wrong verdicts of at least 90 %": wrong(rows),
         "Verdicts about runs without a fault": "\n".join(false),
         "Runs that could not be analyzed": "\n".join(errors),
-        "Verdicts by fault": confusion(rows),
+        "Verdicts of at least 80 % by fault": confusion(rows),
     }
     return "\n\n".join(f"## {title}\n\n{text or 'none'}" for title, text in parts.items()) + "\n"

@@ -297,10 +297,11 @@ def _surroundings(root: mujoco.MjSpec, scene: Scene, moved: Collection[str]) -> 
 
 
 def _middle_of(scene: Scene) -> Array:
-    # MuJoCo's shadows have dark specks far from the axis of a light.
+    # MuJoCo's shadows have dark specks far from the axis of a light. The joint angles of a scene do
+    # not matter, so that the same pose is drawn in the same way whether it is declared or received.
     bases = base_frames(scene.robots)
     links = [
-        robot.kinematics.frames(robot.home, bases[name])[:, :3, 3].mean(axis=0)
+        robot.kinematics.frames(np.zeros(robot.n), bases[name])[:, :3, 3].mean(axis=0)
         for name, robot in scene.robots.items()
     ]
     return np.mean(links, axis=0) if links else np.zeros(3)
