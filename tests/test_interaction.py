@@ -89,7 +89,9 @@ def compare(world: World, camera: str) -> tuple[int, int, set[str]]:
     asked = wrong = 0
     seen: set[str] = set()
     with HeadlessRenderer(world, *SIZE, camera) as renderer:
+        shape = renderer.decor.first_shape
         renderer.decor = SceneDecor(world)  # with panels in the scene, where the oracle sees them
+        renderer.decor.first_shape = shape
         renderer.toggles.legend = False
         renderer.toggles.cards[:] = True
         for _ in range(examples(12)):

@@ -61,7 +61,7 @@ def test_exports_are_made_one_after_the_other_and_reported(tmp_path: Path) -> No
     assert (len(films._waiting), films.count) == (2, 3)
     films.advance()
     assert len(films._waiting) == 2  # the first one is still running
-    expected = [(f"video of what was kept: {path.name}", False) for path in paths]
+    expected = [(f"video saved: {path.name}", False) for path in paths]
     assert wait_for(films, 3) == expected
     assert sorted(tmp_path.iterdir()) == paths
     films.add(["render", "no_such_robot"], tmp_path / "no.mp4")

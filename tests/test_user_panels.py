@@ -312,5 +312,5 @@ def test_widgets_work_in_a_window_and_survive_its_end(monkeypatch: pytest.Monkey
             assert until(lambda: not viewer.sync(), 60)
             gain.value = 0.7
             assert gain.value == 0.7
-            with pytest.raises(SeroError, match="no widget: the viewer is closed"):
+            with pytest.raises(SeroError, match="cannot add a widget: the viewer is closed"):
                 panel.button("more")

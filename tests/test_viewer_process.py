@@ -190,7 +190,10 @@ def test_errors_of_the_viewer_process_are_reported(caplog: pytest.LogCaptureFixt
         assert until(lambda: not viewer.is_open, PATIENCE)
         assert until(lambda: caplog.records, PATIENCE)
     (record,) = caplog.records
-    assert "goes on: exit status 1; it wrote: ValueError: not enough values" in record.getMessage()
+    assert (
+        "continues: exit status 1; last output: ValueError: not enough values"
+        in record.getMessage()
+    )
     with raises_with(UnknownName, kind="camera", name="frnt"):
         sero_mj.view("lwr", web=True, camera="frnt")
     with pytest.raises(
@@ -262,7 +265,7 @@ def test_window_is_drawn_while_the_loop_waits_and_clicks_come_back(
         with sero_mj.view(Scene(robots=[robot], name="window"), size=(400, 300)) as viewer:
             assert viewer.url is None
             viewer._ipython_display_()
-            assert "window is in a window on the screen" in capfd.readouterr().out
+            assert "window is shown in a window" in capfd.readouterr().out
             assert until(lambda: viewer.frame_count > 3, PATIENCE)
             clicks: list[tuple[Any, str, threading.Thread]] = []
             viewer.on_click(lambda *click: clicks.append((*click, threading.current_thread())))

@@ -70,7 +70,7 @@ def test_restarted_server_is_found_by_its_link(browser: Any, tmp_path: Path) -> 
         first.visitors.clear()  # the page stays
         first.process.kill()
         first.process.join()
-        visitor.page.get_by_text("The viewer has gone").wait_for()
+        visitor.page.get_by_text("The viewer is not running").wait_for()
     with Served(tmp_path, "lwr", **options) as again:
         again.ask("w.toggles.arrows.fill(True)")
         # It has another token, which a second tab of the same browser brings.

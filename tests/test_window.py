@@ -207,7 +207,7 @@ def test_video_has_the_recorded_duration(window: Driven) -> None:
     window.key("F3")
     window.until("w.tools['images'].writer.seconds > 1.0")
     window.key("F3")
-    window.until("'film of' in w.notice.text and 'saved' in w.notice.text")
+    window.until("'video of' in w.notice.text and 'saved' in w.notice.text")
     (film,) = folder.glob("lwr_*.mp4")
     with av.open(str(film)) as container:
         frames = sum(1 for _ in container.decode(video=0))
