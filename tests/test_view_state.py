@@ -259,7 +259,7 @@ def test_keys_undo_and_redo_and_the_copied_command_renders_the_image(
     window.until("w.toggles.arrows.all()")
     before = window.ask("[w.view_state().to_text(), w.layout]")
     window.ask("w.toggle('shows_panel') or w.actions.perform('plot')")
-    window.ask("keep(w)")
+    window.ask("save(w)")
     window.ask(
         "w.toggles.reset() or w.camera_control.choose(0) and w.toggle('shows_panel')"
         " or w.actions.perform('plot')"

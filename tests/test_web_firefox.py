@@ -64,7 +64,7 @@ def test_live_page_shows_data_and_accepts_clicks_and_keys(firefox: Firefox, tmp_
         is_on = served.ask("bool(w.toggles.arrows.any())")
         firefox.press("a")
         served.until(f"bool(w.toggles.arrows.any()) != {is_on}")
-        served.until("w.view.picture(w.data) is not None")
+        served.until("w.view.of_data(w.data) is not None")
         x, y = firefox.evaluate(
             "(({ x, y }, { left, top }) => [x + left, y + top])"
             "(player.stage.pixel(player.stage.centre(1)),"
@@ -74,7 +74,7 @@ def test_live_page_shows_data_and_accepts_clicks_and_keys(firefox: Firefox, tmp_
         served.until("[*clicks]")
         assert served.ask("clicks[0][1]").startswith("lwr/")
         assert firefox.evaluate("player.calls") <= 20 and firefox.faults == []
-    firefox.until("document.getElementById('problem').textContent.includes('has gone')")
+    firefox.until("document.getElementById('problem').textContent.includes('is not running')")
 
 
 @pytest.mark.thorough
