@@ -15,7 +15,7 @@ import numpy as np
 from ...base.frames import Array, frame
 from ...robots.assemble.robot_dynamics import GRAVITY
 from ...study.explanation import ALL_JOINTS, BASE, COMMANDS, FLANGE, LINKS, Kind, Part
-from .link_torques import body_torques
+from .base_parameters import standard_parameters, standard_torques
 from .torque_residuals import DELAYS, OF_MOTORS, TorqueResiduals
 
 # Prior standard deviations: of a gain, of a torque as a share of the torque limit, and of a factor
@@ -251,6 +251,7 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
         *(_late_angles(found, k) for k in range(4, len(DELAYS), 5)),
     ]  # fmt: skip
     angles = found.motion.links[0]
+    bodies, parameters = standard_torques(robot, *found.motion.links), standard_parameters(robot)
     for joint, name in enumerate(robot.names):
         by_angle = found.by_angle[:, :, [joint]]
         torque = torques.model[:, [joint], None]
@@ -275,7 +276,8 @@ def _of_link_side(found: TorqueResiduals) -> list[CommonEffect]:
             ))  # fmt: skip
         mass, center = float(dynamics.masses[joint + 1]), dynamics.centers[joint + 1]
         if mass > 0.0:
-            effects += _of_link(found, joint, mass, center)
+            own = slice(10 * joint, 10 * joint + 10)
+            effects += _of_link(name, mass, bodies[:, :, own], parameters[own])
             effects.append(_pushed(found, joint + 1, frame(center), "link", name))
     return effects
 
@@ -297,15 +299,9 @@ def _by_deflection(found: TorqueResiduals, joint: int) -> Array:
     return -change[..., None]
 
 
-def _of_link(found: TorqueResiduals, joint: int, mass: float, center: Array) -> list[CommonEffect]:
-    name = found.robot.names[joint]
-    q, v, a = found.motion.links
-    body = body_torques(found.robot, q, v, a, joint + 1)
-    dynamics = found.dynamics
-    tensor = dynamics.tensors[joint + 1]
-    about = tensor + mass * (center @ center * np.eye(3) - np.outer(center, center))
-    inertia = [*np.diag(about), about[0, 1], about[0, 2], about[1, 2]]
-    whole = body @ np.array([mass, *(mass * center), *inertia])
+def _of_link(name: str, mass: float, body: Array, parameters: Array) -> list[CommonEffect]:
+    # `body` are the torques (K, n, 10) per unit of the parameters of the link.
+    whole = body @ parameters
     return [
         CommonEffect("link mass", "link", np.array([_MASSES]), _scaled(mass, "kg"), place=name,
                      torques=whole[..., None], is_constant=True, min_size=0.02),
