@@ -682,12 +682,17 @@ def test_page_that_no_browser_shows_only_follows_the_data(
             drawn.append(1)
             lay_out(*arguments)
 
+        def pause(seconds: float) -> None:
+            pauses.append(seconds)
+            if len(pauses) == 10:
+                raise InterruptedError
+
         monkeypatch.setattr(page.decor, "lay_out", count)
         with monkeypatch.context() as patched:
-            clock = SimpleNamespace(monotonic=time.monotonic, sleep=pauses.append)
+            clock = SimpleNamespace(monotonic=time.monotonic, sleep=pause)
             patched.setattr("sero_mj.viewer.web.host.time", clock)
-            for _ in range(5):
-                page.frame()
+            with pytest.raises(InterruptedError):
+                page.run()
         assert len(drawn) == 1  # a browser that connects must find a state
         assert 0.05 < pauses[-1] <= 0.1
         with PageClient(page) as client:

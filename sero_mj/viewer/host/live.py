@@ -37,6 +37,7 @@ from .pointer import Pointer
 log = logging.getLogger(__name__)
 
 _JUMP = 1.0  # time step of the keys for back and forward, s
+HIDDEN_INTERVAL = 0.1  # time between frames of a page that no browser shows, s
 SECTION = "section "  # prefix of section names in a layout
 _MESSAGE_TIME, _ERROR_TIME = 3.0, 9.0  # display times, s
 

@@ -26,12 +26,11 @@ from ...base.errors import RenderError, SeroError, UsageError
 from ...data.drive.mirror import LiveWorld, Mirror, Watch
 from ...robots.declared.scene import Scene
 from ...robots.external.model_world import ModelWorld
-from ..host.live import LiveHost
+from ..host.live import HIDDEN_INTERVAL, LiveHost
 from .memory import OverlayMemory, SceneMemory, ViewerMemory
 
 log = logging.getLogger(__name__)
 
-_HIDDEN_INTERVAL = 0.1  # time between frames of a page that no browser shows, s
 _CLOSE_TIMEOUT = 5.0  # time after which the process ends, even while it renders, s
 
 
@@ -189,7 +188,7 @@ def _serve(program: _Program, host: LiveHost, memory: ViewerMemory) -> None:
             answer = host.tools.call(tool, lambda tool: tool.reply())
             if answer is not None:
                 program.send("answer", name, answer)
-        timeout = 0.0 if host.is_seen else _HIDDEN_INTERVAL
+        timeout = 0.0 if host.is_seen else HIDDEN_INTERVAL
         with suppress(queue.Empty):
             while True:
                 message = program.messages.get(timeout=timeout)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ...data.drive.mirror import LiveWorld
-from ..host.live import LiveHost
+from ..host.live import HIDDEN_INTERVAL, LiveHost
 from ..image.image_files import Pixels
 from ..image.image_options import DEFAULT_SIZE
 from ..image.scene_decor import SceneDecor
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
     from ..image.render import HeadlessRenderer
 
 RATE = 60.0  # number of frames per second
-_IDLE_RATE = 10.0  # the same for live data and waiting simulations that no browser shows
 
 
 class WebHost(LiveHost):
@@ -115,13 +114,13 @@ class WebHost(LiveHost):
 
     @property
     def is_due(self) -> bool:
-        return time.monotonic() - self._begin >= 1.0 / self._rate - 1e-3
+        return time.monotonic() - self._begin >= 1.0 / RATE - 1e-3
 
-    @property
-    def _rate(self) -> float:
-        # Simulations that someone has started continue in real time.
-        is_idle = not self.is_seen and (self.clock.is_live or self._is_held)
-        return _IDLE_RATE if is_idle else RATE
+    def run(self) -> None:
+        while self.frame():
+            # Simulations that someone has started continue in real time.
+            if not self.is_seen and (self.clock.is_live or self._is_held):
+                time.sleep(HIDDEN_INTERVAL)
 
     def frame(self, *, wait: bool = True) -> bool:
         """Serves one frame. If `wait` is False, does nothing until it is time for the next one."""
@@ -129,7 +128,7 @@ class WebHost(LiveHost):
             return False
         if not (wait or self.is_due):
             return True
-        time.sleep(max(self._begin + 1.0 / self._rate - time.monotonic(), 0.0))
+        time.sleep(max(self._begin + 1.0 / RATE - time.monotonic(), 0.0))
         self._begin = begin = time.monotonic()
         passed, self._last = begin - self._last, begin
         self._interval += 0.1 * (passed - self._interval)
