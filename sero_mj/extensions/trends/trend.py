@@ -110,11 +110,11 @@ class Trend:
     @property
     def events(self) -> list[str]:
         """Sentences about the relevant steps, the drift, and the date of the limit."""
-        told = [self._step_text(k) for k in self.steps]
+        texts = [self._step_text(k) for k in self.steps]
         has_drift = bool(self.segments[-1].slope)
-        if has_drift and (told or self.is_changed or self.limit_date is not None):
-            told.append(self._drift_text())
-        return told
+        if has_drift and (texts or self.is_changed or self.limit_date is not None):
+            texts.append(self._drift_text())
+        return texts
 
     @property
     def limit_date(self) -> datetime | None:

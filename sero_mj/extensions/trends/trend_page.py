@@ -157,12 +157,12 @@ def _drawing(folder: Path, trend: Trend) -> Iterator[str]:
         yield _text(at, _TOP - 6, text, kind="event")
     for k, (run, value, error) in enumerate(zip(trend.runs, trend.values, errors, strict=True)):
         unit = trend.parameter.unit
-        told = f"{run.path}\n{run.date:%Y-%m-%d %H:%M}\n{trend.shown_value(k)} {unit}"
+        title = f"{run.path}\n{run.date:%Y-%m-%d %H:%M}\n{trend.shown_value(k)} {unit}"
         link = quote(os.path.relpath(Path(run.path).absolute(), folder))
         good = " good" if k == trend.baseline else ""
         place = f'cx="{x[k]:.1f}" cy="{y(value):.1f}"'
         yield (
-            f'<a href="{escape(link)}"><title>{escape(told)}</title>'
+            f'<a href="{escape(link)}"><title>{escape(title)}</title>'
             f'<path class="bar" d="M{x[k]:.1f} {y(value - error):.1f}V{y(value + error):.1f}"/>'
             f'<circle class="point{good}" {place} r="2.2"/><circle class="hit" {place} r="6"/></a>'
         )
