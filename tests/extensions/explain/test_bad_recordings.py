@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -119,6 +120,20 @@ def run(change: Callable[[Table], Table], folder: Path, *more: str) -> int:
     return int(ended.value.code or 0)
 
 
+def compared_with_model(
+    change: Callable[[Table], Table],
+    notes: list[str],
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> Any:
+    """Compares a changed table with the model, and checks that the result contains the notes."""
+    assert run(change, folder, "--against-model", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    about = "\n".join(found["about"])
+    assert all(each in about for each in notes), about
+    return found
+
+
 @pytest.mark.parametrize(
     ("change", "notes"),
     [
@@ -147,10 +162,7 @@ def test_fault_is_found_in_the_remaining_data(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(change, tmp_path, "--against-model", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    about = "\n".join(found["about"])
-    assert all(each in about for each in notes), about
+    found = compared_with_model(change, notes, tmp_path, capsys)
     (bias,) = found["explanations"]
     part = "sensor or drive" if change is missing_angles else "torque sensor"
     assert (bias["joint"], bias["kind"], bias["part"]) == ("A2", "bias", part)
@@ -172,10 +184,7 @@ def test_nothing_is_concluded_without_data(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    assert run(change, tmp_path, "--against-model", "--json") == 0
-    found = json.loads(capsys.readouterr().out)
-    about = "\n".join(found["about"])
-    assert all(each in about for each in notes), about
+    found = compared_with_model(change, notes, tmp_path, capsys)
     assert [each for each in found["explanations"] if each["kind"] != "bias"] == []
     # The noise of the only pose is a bias.
     assert all(abs(each["size"]) < 0.1 for each in found["explanations"])
